@@ -93,7 +93,7 @@ class Corpus:
     digest: str = field(default="")
 
     def part(self, name: str) -> list[Take]:
-        """The takes of a part: "train", "choose" or "report".
+        """The takes of a part: "train", "val" or "test".
 
         Raises:
             ValueError: no such part.

@@ -31,7 +31,7 @@ from motionlab.humor.unknowns import motion_of
 from motionlab.motion import Motion, runs
 from motionlab.skeleton import STANDARD
 
-#: Nats that count as one, and a floor of model error in metres: chosen on 12 recorded people ("choose") behind walls
+#: Nats that count as one, and a floor of model error in metres: chosen on 12 recorded people ("val") behind walls
 #: and desks, by the likelihood of their hidden limbs (notebook 09, ``calibration.chosen``).
 TEMPERATURE, FLOOR = 30.0, 0.08
 #: Level -> how many deviations wide a region is that held so much of the hidden limbs of those people.

@@ -1,4 +1,4 @@
-"""Splits recordings by subject into training, validation ("choose") and test ("report") people.
+"""Splits recordings by subject into training, validation ("val") and test ("test") people.
 
 A performance may exist in several sources (CMU's subject_trial ids agree between them), so the split is by person, over
 all sources at once. ``subjects.toml`` says which persons are kept from training, and why. A collection that is not
@@ -13,10 +13,10 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-PARTS = ("train", "choose", "report")
+PARTS = ("train", "val", "test")
 _TABLE = Path(__file__).with_name("subjects.toml")
-#: Of ten persons of a collection that ``subjects.toml`` does not know: one is for choosing, two for the report.
-_CHOOSE, _REPORT = 1, 2
+#: Of ten persons of a collection that ``subjects.toml`` does not know: one validates, two test.
+_VAL, _TEST = 1, 2
 
 
 @cache
@@ -49,7 +49,7 @@ def person_of(source: str, path: Path | str) -> str:
 def part_of(person: str) -> str:
     """Returns the part that a person belongs to, one of ``PARTS``."""
     known = _table()
-    for name in ("choose", "report"):
+    for name in ("val", "test"):
         if person in known[name]["people"]:
             return name
     group = person.split("/")[0]
@@ -57,4 +57,4 @@ def part_of(person: str) -> str:
     if group in known["alone"] or named:
         return "train"
     lot = int(hashlib.sha256(person.encode()).hexdigest(), 16) % 10
-    return "choose" if lot < _CHOOSE else "report" if lot < _CHOOSE + _REPORT else "train"
+    return "val" if lot < _VAL else "test" if lot < _VAL + _TEST else "train"

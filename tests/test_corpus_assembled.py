@@ -36,7 +36,7 @@ def texts(tmp_path_factory):
 
 @pytest.fixture
 def folder(tmp_path, texts):
-    """mine/ann (for training) walks, mine/carla (who chooses) walks, too."""
+    """mine/ann (for training) walks, mine/carla (validation) walks, too."""
     for who, name in (("ann", "a"), ("carla", "b")):
         put(tmp_path / "all", f"mine/{who}/walk_{name}.bvh", texts[name])
     return tmp_path / "all"
@@ -89,7 +89,7 @@ def test_takes_are_the_performances_at_thirty_frames_with_contacts(folder):
         assert take.motion.skeleton.sole == pytest.approx(truth.skeleton.sole, rel=0.1)
     assert [(t.name, t.person, t.part, t.said) for t in found.takes] == [
         ("mine/ann/walk_a from 0.0 s", "mine/ann", "train", "walk_a"),
-        ("mine/carla/walk_b from 0.0 s", "mine/carla", "choose", "walk_b"),
+        ("mine/carla/walk_b from 0.0 s", "mine/carla", "val", "walk_b"),
     ]
 
 
@@ -97,7 +97,7 @@ def test_faults_are_cut_and_counted(folder, texts):
     put(folder, "mine/dora/c.bvh", texts["c"])
     found = assemble(folder)
     (row,) = found.rows
-    assert len(found.part("report")) == 2 and 0.2 < row.cut["teleport"] < 0.4 and row.recordings == 3
+    assert len(found.part("test")) == 2 and 0.2 < row.cut["teleport"] < 0.4 and row.recordings == 3
     assert row.kept + sum(row.cut.values()) == pytest.approx(row.seconds)
     assert row.kept == pytest.approx(sum(t.motion.seconds for t in found.takes))
     with pytest.raises(ValueError, match="train, choose, report, got 'test'"):

@@ -77,7 +77,7 @@ def test_the_denoiser_goes_on_from_what_it_wrote(plain, here):
     out = here / "plain"
     train_more.go_on(plain, out, every=2, schedules=1)
     before, first = checkpoint.read_recipe(out), plain.load(out)
-    row = before["quality, people who choose"]
+    row = before["quality, validation people"]
     levels = [value for name, value in row.items() if name != courses.MEAN_ERROR]
     assert row[courses.MEAN_ERROR] == pytest.approx(sum(levels) / len(levels)) and before["recipe"]["size"] == "small"
     train_more._kept("diffusion_plain", out).unlink()

@@ -125,14 +125,14 @@ def test_files_of_something_else_are_refused(trained, tmp_path):
 
 
 def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):
-    """And watches what is missed of those who choose."""
+    """And watches what is missed of validation people."""
     asked, train_encoder = [], encoder_training.train_encoder
 
     def trained(windows, recipe, held, **how):
         asked.append((windows.digest, held))
         return train_encoder(windows, recipe, held, **how)
 
-    found = recipes.RealMotions({splits.RECORDED: motions[:1]}, {"people who choose": motions[1:]}, {})
+    found = recipes.RealMotions({splits.RECORDED: motions[:1]}, {"validation people": motions[1:]}, {})
     monkeypatch.setattr(recipes, "real_motions", lambda folder: found)
     monkeypatch.setattr(encoder_training, "train_encoder", trained)
     monkeypatch.setattr(train, "EncoderRecipe", lambda: replace(TINY, frames=60))

@@ -1,4 +1,4 @@
-"""The table of models: measured on the people of the report alone, each counted alike, and kept in the recipe."""
+"""The table of models: measured on the test people alone, each counted alike, and kept in the recipe."""
 
 import json
 
@@ -47,7 +47,7 @@ def test_only_people_of_the_report_count_and_each_alike(shipped, tmp_path, monke
     assert kept[model_card.REPORT] == json.loads(json.dumps(found)) and kept["made by"] == "a test"
     assert checkpoint.load(tmp_path / "humor_tiny")[0]  # the recipe still belongs to its tensors
     monkeypatch.setattr(model_card.corpus, "assemble", lambda *_, **__: takes("cmu_01"))
-    with pytest.raises(DataError, match="report"):
+    with pytest.raises(DataError, match="test"):
         model_card.judge_prior("humor_tiny", tmp_path)
 
 

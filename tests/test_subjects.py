@@ -53,7 +53,7 @@ def test_no_performance_is_on_both_sides_of_the_split():
     assert (
         subjects.person_of("cmu_native", "05_02.amc") == subjects.person_of("cmu_library", "05/05_20.bvh") == "cmu_05"
     )
-    assert Counter(subjects.part_of(f"cmu_{s:02}") for s in range(1, 145)) == {"train": 113, "choose": 14, "report": 17}
+    assert Counter(subjects.part_of(f"cmu_{s:02}") for s in range(1, 145)) == {"train": 113, "val": 14, "test": 17}
 
 
 @pytest.mark.parametrize(
@@ -70,7 +70,7 @@ def test_control_sources_that_disagree_are_found(monkeypatch, change, found):
 
 def test_partners_and_copies_stay_together(monkeypatch):
     assert apart(TOGETHER) == []
-    changed(monkeypatch, lambda table: table["report"]["people"].remove("cmu_23"))
+    changed(monkeypatch, lambda table: table["test"]["people"].remove("cmu_23"))
     assert apart(TOGETHER) == [(22, 23)]
 
 
@@ -97,8 +97,8 @@ def test_elsewhere_a_person_is_a_folder_or_the_beginning_of_a_name(file, person)
 
 def test_collections_that_nobody_knows_are_split_by_a_hash_that_stays():
     """sha256 of "mine/ann", as a number, leaves 5 when divided by 10: train; that of "mine/carla" 0: choose."""
-    known = {"ann": "train", "bob": "train", "carla": "choose", "dora": "report", "emil": "report", "gus": "choose"}
+    known = {"ann": "train", "bob": "train", "carla": "val", "dora": "test", "emil": "test", "gus": "val"}
     assert {name: subjects.part_of(f"mine/{name}") for name in known} == known
     shares = Counter(subjects.part_of(f"mine/{i}") for i in range(1000))
-    assert 80 < shares["choose"] < 120 and 160 < shares["report"] < 240
-    assert subjects.part_of("cmu_extra/dora") == "choose"  # not one of the sources whose ids are CMU's
+    assert 80 < shares["val"] < 120 and 160 < shares["test"] < 240
+    assert subjects.part_of("cmu_extra/dora") == "val"  # not one of the sources whose ids are CMU's

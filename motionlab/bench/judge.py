@@ -1,6 +1,6 @@
 """Judges whoever completes motions, on windows of people: cases, errors by person, the energy score of draws.
 
-    windows = people("recordings", "choose")
+    windows = people("recordings", "val")
     judged(lambda motion, known: mine(motion, known), CASES["legs hidden"], windows)["cm"].mean()
 
 Source: thesis 4.2.1 (cases). Gneiting and Raftery 2007, Eq. 22: the energy score, which rewards calibrated draws, as
@@ -52,7 +52,7 @@ CASES: Mapping[str, Case] = {
 
 
 def people(folder: Path | str, part: str, each: int = 24) -> PersonWindows:
-    """Reads windows of the people of a part ("train", "choose", "report"), at most so many of each."""
+    """Reads windows of the people of a part ("train", "val", "test"), at most so many of each."""
     return person_windows(corpus.assemble(folder, splits.real_sources(folder)).part(part), FRAMES, each)
 
 

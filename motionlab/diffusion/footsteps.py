@@ -4,7 +4,7 @@ What a model or a curve fills in is a mean of what may happen: where people take
 stands before a gap and stands elsewhere behind it has stepped; so a foot that is said to stand but travels is timed
 anew along its own way (:func:`retime`), and one that goes from place to place goes off the floor (:func:`lift`).
 
-Numbers: of recordings of people who choose, at 30 frames per second; lengths in legs where nothing else is said.
+Numbers: of recordings of validation people, at 30 frames per second; lengths in legs where nothing else is said.
 """
 
 from __future__ import annotations

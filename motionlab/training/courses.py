@@ -33,9 +33,9 @@ from motionlab.training.model_card import person_states
 from motionlab.training.train_more import learnt_from
 from motionlab.training.training_loop import fast_halves
 
-_EACH = 12  # windows of each person who chooses
+_EACH = 12  # windows of each validation person
 LEGS_AND_GAPS = "legs and gaps, cm"  # the mean of the first three cases: error, or energy score of draws
-_CHOOSING = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
+_JUDGED_BY = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
 _DRAWS = 3
 _NOISES = ((1.0, 0.5), (2.0, 1.0), (5.0, 2.0))  # degrees of joints, centimetres of the root
 MEAN_ERROR = "x0 error, mean over steps"
@@ -45,11 +45,11 @@ ASKED = {
     "one step, prior mean": 0.75, "one step, posterior": 0.25, "2 s, posterior z, cm": 5.0, "2 s, closed loop, cm": 2.0,
 }  # fmt: skip
 _BODIES = "own bones", "standard body"
-_MOST = 8  # windows of two seconds of each person who chooses
+_MOST = 8  # windows of two seconds of each validation person
 
 
 class CompleterCourse(train_more.Course):
-    """A completer, judged on windows of the people who choose. Draws begin with new weights: those of one answer are
+    """A completer, judged on windows of the validation people. Draws begin with new weights: those of one answer are
     never left behind (docs/experiments.md)."""
 
     trainer, built = CompleterTraining, ("frames", "size", "layers", "patch")
@@ -68,12 +68,12 @@ class CompleterCourse(train_more.Course):
     save = staticmethod(completer.save)
 
     def measured(self, model: Completer) -> dict[str, float]:
-        """By person, errors on every case; of draws, on those that choose, energy scores and how far apart they are
+        """By person, errors on every case; of draws, on validation windows, energy scores and how far apart they are
         over their error. And accelerations over the truth's."""
         if model.recipe.refines:
             return _of_noise(model, self.held)
         row, noised = {}, model.recipe.diffusion
-        for name in _CHOOSING if noised else CASES:
+        for name in _JUDGED_BY if noised else CASES:
             draws = torch.Generator().manual_seed(0) if noised else None
             fill = partial(model.complete, generator=draws)
             each = judged(fill, CASES[name], self.held, draws=_DRAWS if noised else 1)
@@ -83,8 +83,8 @@ class CompleterCourse(train_more.Course):
             else:
                 row[f"{name}, cm"] = float(each["cm"].mean())
             row[f"{name}, acceleration over the truth's"] = float(each["acceleration"].mean())
-        choose = [x for name, x in row.items() if name.startswith(_CHOOSING) and name.endswith(", cm")]
-        return {LEGS_AND_GAPS: sum(choose) / len(choose)} | row
+        aims = [x for name, x in row.items() if name.startswith(_JUDGED_BY) and name.endswith(", cm")]
+        return {LEGS_AND_GAPS: sum(aims) / len(aims)} | row
 
 
 def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
@@ -131,7 +131,7 @@ class PriorCourse(train_more.Course):
         bodies = takes, [replace(t, motion=on_standard(t.motion)) for t in takes]
         held = {body: person_states(some, most=_MOST) for body, some in zip(_BODIES, bodies, strict=True)}
         if not held[_BODIES[0]]:
-            raise DataError("nobody who chooses is there", path=folder, remedy="unpack cmu_library into it")
+            raise DataError("no validation people are there", path=folder, remedy="unpack cmu_library into it")
         return windows, held
 
     @property

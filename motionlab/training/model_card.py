@@ -1,6 +1,6 @@
 """How good the transition priors are on people nobody trained on, and the table of all models that ship.
 
-python -m motionlab models --data FOLDER    # measures on ``report`` people, into the recipes; minutes
+python -m motionlab models --data FOLDER    # measures on ``test`` people, into the recipes; minutes
 python -m motionlab models                  # writes checkpoints/README.md from the recipes
 """
 
@@ -45,7 +45,7 @@ _CREDIT = (
 
 
 def judge_prior(name: str, folder: Path | str) -> dict[str, dict[str, float]]:
-    """Computes what a transition prior that ships does on the people of ``report``.
+    """Computes what a transition prior that ships does on the people of ``test``.
 
     Every person counts alike, with at most 24 windows of two seconds. The result also goes into the prior's recipe.
 
@@ -54,16 +54,16 @@ def judge_prior(name: str, folder: Path | str) -> dict[str, dict[str, float]]:
         look like whose bones are held), on people's own bones and on the standard body: the mean over people, the ends
         of its 95 % interval by bootstrap over people, and how many there are.
     Raises:
-        DataError: nobody of ``report`` is in the folder.
+        DataError: nobody of ``test`` is in the folder.
     """
     model = pretrained.load_motion_prior(name)
-    takes = corpus.assemble(folder, splits.real_sources(folder)).part("report")
+    takes = corpus.assemble(folder, splits.real_sources(folder)).part("test")
     found = {}
     for body in BODIES:
         some = [replace(t, motion=on_standard(t.motion)) for t in takes] if body else takes
         rows = list(person_rows(model, person_states(some)).values())
         if not rows:
-            raise DataError("nobody of ``report`` is there", path=folder, remedy="unpack cmu_library into it")
+            raise DataError("nobody of ``test`` is there", path=folder, remedy="unpack cmu_library into it")
         for measure in rows[0]:
             values = torch.tensor([row[measure] for row in rows])
             values = values[values.isfinite()]
@@ -151,7 +151,7 @@ def _quality_table(kinds: Sequence[str], shown: Sequence[str] | None = None) -> 
 
 
 def _contest(found: Mapping[str, Mapping[str, float]]) -> str:
-    """Returns what was found on people of the report, "case; who; what": a table for each what."""
+    """Returns what was found on test people, "case; who; what": a table for each what."""
     text, keys = "", [name.split("; ") for name in found]
     for what in dict.fromkeys(what for _, _, what in keys):
         cases, people = (dict.fromkeys(key[k] for key in keys if key[2] == what) for k in (0, 1))

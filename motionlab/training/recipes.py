@@ -28,7 +28,7 @@ _COMMAND = "python -m motionlab train small --data FOLDER"
 
 
 class RealMotions(NamedTuple):
-    """Motions for training, by source; those of the people that choose; which joints each of the first lacks."""
+    """Motions for training, by source; those of the validation people; which joints each of the first lacks."""
 
     train: dict[str, list[Motion]]
     held: dict[str, list[Motion]]
@@ -47,7 +47,7 @@ def real_motions(folder: Path | str | None) -> RealMotions:
     takes = found.part("train")
     train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: [s.motion for s in made.train]}
     missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made.train)}
-    held = {"people who choose": [t.motion for t in found.part("choose")]}
+    held = {"validation people": [t.motion for t in found.part("val")]}
     return RealMotions(train, held, missing)
 
 
@@ -126,11 +126,11 @@ def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> dict:
 def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRecipe) -> dict:
     """Trains and writes the features that generated motion is judged in (``diffusion.encoder``); returns the recipe.
 
-    folder: of recordings. Trained on the people who train, watched on those who choose.
+    folder: of recordings. Trained on the training people, watched on validation people.
     """
-    train, choose = real_motions(folder)[:2]
+    train, val = real_motions(folder)[:2]
     windows, held = (
-        gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, choose)
+        gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, val)
     )
     held = held.evenly(256)
     features, curve = encoder_training.train_encoder(windows, recipe, held, progress=True)

@@ -1,7 +1,7 @@
 """``python -m motionlab train NAME --more``: trains for days, at the lowest priority, until somebody stops it.
 
 It goes on from the state that is kept in the cache, or else from the weights that ship. Now and then the averaged
-weights are judged on the people who choose; only better ones are written. After a whole schedule the next one begins
+weights are judged on the validation people; only better ones are written. After a whole schedule the next one begins
 from the best weights, at half the rate. When it is killed, nothing but the last minutes is lost.
 """
 
@@ -28,7 +28,7 @@ from motionlab.training.training_loop import TrainingRun
 
 
 def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) -> tuple[Windows, list[Take]]:
-    """Returns windows of the people who train, and of synthetic ones, drawn by person; and takes of people who choose.
+    """Returns windows of the training people, and of synthetic ones, drawn by person; and takes of validation people.
 
     own: every motion also on its own bones; else on the standard body alone.
 
@@ -46,7 +46,7 @@ def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) ->
         missing=([t.missing for t in takes] + [()] * len(made)) * times,
         people=([t.person for t in takes] + [splits.SYNTHETIC] * len(made)) * times,
     )  # fmt: skip
-    return windows, found.part("choose")
+    return windows, found.part("val")
 
 
 class Course(ABC):
@@ -67,7 +67,7 @@ class Course(ABC):
 
     @abstractmethod
     def _data(self, folder: Path | str | None) -> tuple[Windows, Any]:
-        """Windows of the folder's people who train, and what those who choose are."""
+        """Windows of the folder's training people, and what validation people are."""
 
     @property
     def examples(self) -> Any:
@@ -90,7 +90,7 @@ class Course(ABC):
 
     @abstractmethod
     def measured(self, model: Any) -> dict[str, float]:
-        """What a model is worth on the people who choose: first what chooses, less is better."""
+        """What a model is worth on the validation people: first what chooses, less is better."""
 
     @abstractmethod
     def save(self, out: Path, model: Any, about: dict) -> None:
@@ -178,6 +178,6 @@ def _about(course: Course, run: TrainingRun, row: dict[str, float]) -> dict:
         "made by": f"python -m motionlab train {course.name} --more --steps {recipe.steps} --data FOLDER",
         "step": run.earlier + run.step, "recipe": asdict(recipe), "windows": run.digest, "torch": torch.__version__,
         "minutes of motion, before mirroring": {splits.RECORDED: sum(real), splits.SYNTHETIC: made},
-        "people": len(real), "quality, people who choose": row,
+        "people": len(real), "quality, validation people": row,
         "curve": [*curve, {"step": run.earlier + run.step, chosen: row[chosen]}],
     }  # fmt: skip

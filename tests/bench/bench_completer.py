@@ -1,6 +1,6 @@
 """A window completed: milliseconds of one core, and what is left, by one answer and by draws of 1, 10 and 50 steps.
 
-Left is the energy score of two draws; of one answer its error. With recordings in MOTIONLAB_DATA on people who choose;
+Left is the energy score of two draws; of one answer its error. With recordings in MOTIONLAB_DATA on validation people;
 without, on synthetic sequences that nothing was trained on.
 """
 
@@ -22,7 +22,7 @@ STEPS, CASES = (1, 10, 50), ("legs hidden", "gap of 30 frames", "gap of 45 frame
 def some_windows() -> tuple[Motion, torch.Tensor]:
     """Motions (N, 60), and the units that their figures lack."""
     if folder := os.environ.get("MOTIONLAB_DATA"):
-        motion, _, lacks = judge.people(folder, "choose", each=4)
+        motion, _, lacks = judge.people(folder, "val", each=4)
         return motion, lacks
     motions = [on_standard(s.motion) for s in corpus.build(version="B").heldout_sequences]
     return gather(motions, judge.FRAMES).evenly(48), torch.zeros(48, 1, len(STANDARD) + 2, dtype=torch.bool)

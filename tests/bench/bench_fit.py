@@ -89,7 +89,7 @@ def main() -> None:
     kinds = ", ".join(f"{rate(kind):.0f} GFlop/s in {str(kind)[6:]}" for kind in (torch.float32, torch.bfloat16))
     print(f"{race.processor()}, one thread: {kinds}; load {os.getloadavg()[0]:.1f}")
     priors = pretrained.load_priors()
-    some = race.clips(priors, None, "choose", {race.SYNTHETIC: BATCH}, SEED, FRAMES, FULL_WORK)
+    some = race.clips(priors, None, "val", {race.SYNTHETIC: BATCH}, SEED, FRAMES, FULL_WORK)
     singles, works = some[: options.singles], {"default": FULL_WORK, "--quick": QUICK_WORK}
     for clip in singles[:1]:
         fitted([clip], priors, QUICK_WORK)  # compiles the loops

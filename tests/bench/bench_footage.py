@@ -154,7 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--views", action="store_true", help="fit Pose2Sim's four views; a minute or so each plan")
     parser.add_argument("--people", type=int, metavar="N", help="fit so many people of CMU, each alone")
-    parser.add_argument("--part", choices=("choose", "report"), default="choose", help="whose people these are")
+    parser.add_argument("--part", choices=("val", "test"), default="val", help="whose people these are")
     parser.add_argument(
         "--cast", choices=("everyday", "sits", "synthetic sits", "synthetic stays seated"), default="everyday"
     )

@@ -1,6 +1,6 @@
 """In-betweening of real BVH files of people nobody trained on: network, curves and slerp.
 
-Clips of the CMU library's ``report`` people, at 30 frames per second, on the files' own skeletons. Kinds: a ``gap``
+Clips of the CMU library's ``test`` people, at 30 frames per second, on the files' own skeletons. Kinds: a ``gap``
 with known motion around it; lone ``keys`` so many frames apart; ``one`` key alone with so many frames on either side;
 and ten known frames with so many ``beyond`` them on either side. Every person counts alike; intervals are by bootstrap
 over people. ``slerp+`` is slerp through the planting of the others.
@@ -171,7 +171,7 @@ def main() -> None:
         return
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--clips", type=int, default=1, help="of each person")
-    parser.add_argument("--part", choices=subjects.PARTS, default="report")
+    parser.add_argument("--part", choices=subjects.PARTS, default="test")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     options = parser.parse_args()

@@ -12,7 +12,7 @@ from motionlab.viz.palette import INK, PAPER, ROLE
 from studies.nb01_data.sources_compared import Windows
 from studies.shared.plots import canvas
 
-_PARTS = {"train": "observation", "choose": "baseline", "report": "ours"}
+_PARTS = {"train": "observation", "val": "baseline", "test": "ours"}
 
 
 def descriptions(found: Mapping[str, Windows], clip: Tensor, name: str) -> Figure:

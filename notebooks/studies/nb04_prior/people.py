@@ -56,7 +56,7 @@ def everybody(folder: Path | str | None, every: int) -> list[Take]:
 
 def report_part(takes: Sequence[Take]) -> list[Take]:
     """Returns the takes of people nobody trained on."""
-    return [take for take in takes if take.part == "report"]
+    return [take for take in takes if take.part == "test"]
 
 
 def drawn(count: int) -> Clips:

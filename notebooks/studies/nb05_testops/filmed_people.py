@@ -40,7 +40,7 @@ class People(NamedTuple):
 
 
 def recorded(folder: Path | str, part: str, count: int, frames: int) -> People:
-    """Returns clips of the people of one part of CMU's recordings, "choose" or "report", evenly over people; of each
+    """Returns clips of the people of one part of CMU's recordings, "val" or "test", evenly over people; of each
     the first frames."""
     cast = everyday(takes(folder, part), count)
     motions, names = tuple(m.cut(0, frames) for m in cast.motions), sorted(set(cast.people))
@@ -50,12 +50,12 @@ def recorded(folder: Path | str, part: str, count: int, frames: int) -> People:
 def sources(
     folder: Path | None, count: int, practice: int, *, seed: int, frames: int
 ) -> dict[str, tuple[People, People]]:
-    """Returns by source the people to report on and those to tune on: synthetic ones whom the corpus does not know, one
+    """Returns by source test people and those to tune on: synthetic ones whom the corpus does not know, one
     a clip, and recorded ones where there is a folder."""
     made = [(scenes.held_out(n, seed=seed + k, frames=frames), n) for k, n in enumerate((count, practice))]
     found = {"synthetic": tuple(People(clips, torch.arange(n)) for clips, n in made)}
     if folder is not None:
-        found["CMU"] = recorded(folder, "report", count, frames), recorded(folder, "choose", practice, frames)
+        found["CMU"] = recorded(folder, "test", count, frames), recorded(folder, "val", practice, frames)
     return found
 
 
@@ -83,7 +83,7 @@ def filmed(people: People, *, seed: int) -> Filmed:
 def shots(
     people: dict[str, tuple[People, People]], count: int, *, seed: int, frames: int
 ) -> dict[str, tuple[Filmed, Filmed]]:
-    """Films every source: at most ``count`` clips to report on, half as many easy synthetic ones, one person a clip,
+    """Films every source: at most ``count`` test clips, half as many easy synthetic ones, one person a clip,
     and those to tune on."""
     counts = (-(-count // 2), len(people["synthetic"][1].whose))
     easy = [scenes.film("easy", n, seed=seed + k, frames=frames) for k, n in enumerate(counts)]

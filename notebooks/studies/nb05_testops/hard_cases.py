@@ -105,11 +105,11 @@ def hidden_below(motion: Motion, height: float, seed: int) -> Scene:
 
 
 def practice(folder: Path | None, clips: int, seed: int, frames: int) -> dict[Case, Scene]:
-    """Films the clips on which rivals are tuned: other synthetic people, and CMU's people who choose; none for 0."""
+    """Films the clips on which rivals are tuned: other synthetic people, and CMU's validation people; none for 0."""
     if not clips:
         return {}
     tasks = list(dict.fromkeys(task for task, _ in TUNED_ON.values()))
-    return synthetic(tasks, clips, seed, frames) | real(folder, "choose", tasks, clips, seed, frames)[0]
+    return synthetic(tasks, clips, seed, frames) | real(folder, "val", tasks, clips, seed, frames)[0]
 
 
 def rows(filmed: Mapping[Case, Scene], people: Mapping[Case, Sequence[str]]) -> list[dict[str, object]]:

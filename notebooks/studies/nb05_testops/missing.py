@@ -48,7 +48,7 @@ def filmed(folder: Path | None, count: int, seed: int, frames: int) -> tuple[dic
     found = {"synthetic": scenes.film("facing the camera", count, seed=seed, frames=frames)}
     said = f"Synthetic: {count} clips of {count} people."
     if folder:
-        cast = everyday(takes(folder, "report"), count)
+        cast = everyday(takes(folder, "test"), count)
         found["CMU"] = from_the_front([m.cut(0, frames) for m in cast.motions], seed)
         who = f"{len(cast)} clips of {len(set(cast.people))} people"
         said += f" CMU, people of the part kept for reports: {who}."

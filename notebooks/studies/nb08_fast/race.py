@@ -26,7 +26,7 @@ PLAIN, WALL = "plain view", "behind a low wall"
 SINGLE, DEFAULT, QUICK, START = "single shooting", "default", "quick", "stage 2"
 #: Nats a frame that count as level with an energy.
 LEVEL = 0.05
-#: Ways of single shooting, tried on people who choose, and the work of the others; both for a smoke run, too.
+#: Ways of single shooting, tried on validation people, and the work of the others; both for a smoke run, too.
 WAYS = {
     "product": {
         "as in fits": Single(),

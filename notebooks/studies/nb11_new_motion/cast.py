@@ -1,4 +1,4 @@
-"""The motion that generated motion is held against: people nobody trained on, people who train, people who choose."""
+"""The motion that generated motion is held against: people nobody trained on, training people, validation people."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -18,14 +18,14 @@ RECORDED, SYNTHETIC = "recordings", "synthetic"
 
 
 class Cast(NamedTuple):
-    """source: RECORDED or SYNTHETIC. people (N, T): as many windows of each person of the report, whose (N,). choose
+    """source: RECORDED or SYNTHETIC. people (N, T): as many windows of each test person, whose (N,). val
     (M, T): of those that settings are chosen on. library: all training motion on the standard body. learnt: its
     windows, drawn evenly by person."""
 
     source: str
     people: Motion
     whose: Tensor
-    choose: Motion
+    val: Motion
     library: list[Motion]
     learnt: Windows
 
@@ -41,16 +41,16 @@ def assemble(folder: Path | None, each: int, most: int | None) -> Cast:
     each: windows of a person. most: recordings of a part, evenly over it; None: all.
     """
     found = corpus.assemble(folder, splits.real_sources(folder), progress=False) if folder else None
-    parts = {part: found.part(part) if found else _made(part) for part in ("train", "choose", "report")}
+    parts = {part: found.part(part) if found else _made(part) for part in ("train", "val", "test")}
     takes = {part: splits.subsample(some, most) for part, some in parts.items()}
-    people, whose, _ = person_windows(takes["report"], FRAMES, each)
+    people, whose, _ = person_windows(takes["test"], FRAMES, each)
     library = [on_standard(take.motion) for take in takes["train"]]
     learnt = gather(library, FRAMES, mirrored=False, people=[take.person for take in takes["train"]])
-    choose = person_windows(takes["choose"], FRAMES, each).motion
-    return Cast(RECORDED if folder else SYNTHETIC, people, whose, choose, library, learnt)
+    val = person_windows(takes["val"], FRAMES, each).motion
+    return Cast(RECORDED if folder else SYNTHETIC, people, whose, val, library, learnt)
 
 
 def _made(part: str) -> list[Take]:
     made = synthetic.build(version="B")
-    sequences = {"train": made.train, "choose": made.heldout_sequences, "report": made.heldout_subject}[part]
+    sequences = {"train": made.train, "val": made.heldout_sequences, "test": made.heldout_subject}[part]
     return [Take(s.motion, s.motion.name, SYNTHETIC, s.motion.name, "", s.motion.fps, ()) for s in sequences]

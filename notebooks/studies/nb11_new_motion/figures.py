@@ -66,7 +66,7 @@ def over_steps(
     found: Mapping[str, Mapping[int, Mapping[str, Tensor]]], level: Mapping[str, float], roles: Mapping[str, str],
     generator: Generator,
 ) -> Figure:  # fmt: skip
-    """A panel per measure over the number of steps, a line per sampler; level: people who train, dashed. Of ratios
+    """A panel per measure over the number of steps, a line per sampler; level: training people, dashed. Of ratios
     (all but coverage), within a tenth is shaded."""
     names = list(level)
     fig, axes = canvas(1, len(names), size=(2.6 * len(names), 3.0))
@@ -77,7 +77,7 @@ def over_steps(
             value, low, high = np.array([interval(by_steps[n][name], "mean", generator) for n in steps]).T
             ax.fill_between(steps, low, high, color=paint[sampler], alpha=0.18, lw=0)
             ax.plot(steps, value, "o-", ms=4, lw=1.8, color=paint[sampler], label=sampler)
-        ax.axhline(level[name], color=INK, lw=1.2, ls=(0, (4, 2)), label="people who train")
+        ax.axhline(level[name], color=INK, lw=1.2, ls=(0, (4, 2)), label="training people")
         if name != "coverage":
             ax.axhspan(0.9, 1.1, color=LINE, alpha=0.4, lw=0)
         ax.set(xscale="log", xlabel="steps", title=name)

@@ -32,15 +32,15 @@ def nothing(count: int) -> tuple[Motion, Tensor]:
 
 def gaussian(cast: Cast, windows: int, count: int, generator: torch.Generator) -> tuple[Motion, int]:
     """Draws of a Gaussian over whole windows, feet planted where they stand, and how many principal parts it keeps: as
-    many as bring it nearest to the people who choose (Frechet)."""
-    choose, blank = Judged.of(cast.choose), nothing(count)
+    many as bring it nearest to the validation people (Frechet)."""
+    val, blank = Judged.of(cast.val), nothing(count)
     fitted = Rivals.fit(cast.training(windows, generator), generator, parts=max(PARTS))
 
     def draw(parts: int) -> Motion:
         fewer = replace(fitted, factor=fitted.factor[:, -parts:])
         return lock_feet(with_contacts(fewer.regression(*blank, generator=generator)))
 
-    best = min(PARTS, key=lambda parts: frechet(Judged.of(draw(parts)), choose))
+    best = min(PARTS, key=lambda parts: frechet(Judged.of(draw(parts)), val))
     return draw(best), best
 
 
@@ -88,7 +88,7 @@ def everybody(
     """All that stands beside the model: name -> windows (count, T); and how many parts the Gaussian keeps."""
     normal, parts = gaussian(cast, windows, count, generator("Gaussian"))
     return {
-        "people who train": cast.training(count, generator("people who train")),
+        "training people": cast.training(count, generator("people who train")),
         "Gaussian, planted": normal,
         "spliced windows": spliced(cast, windows, count, generator("spliced")),
         "a pose held": held(cast, count, generator("held")),

@@ -84,7 +84,7 @@ FILTER, GAUSSIAN = "filter", "Gaussian"
 NOISES: Mapping[str, tuple[float, ...]] = {
     "noise of 5 deg, 2 cm": (5.0, 2.0), "noise of 10 deg, 4 cm": (10.0, 4.0), "lasting noise, 5 deg": (5.0, 2.0, 0.935),
 }  # fmt: skip
-#: How P may go back: which is best is found on the people who choose.
+#: How P may go back: which is best is found on the validation people.
 STARTS = (
     *(ReverseProcess(level=level, looks=4) for level in (0.7, 1.0, 1.4)),
     *(ReverseProcess(level=level, topped=False) for level in (0.7, 1.0, 1.4)),
@@ -93,11 +93,11 @@ STARTS = (
 
 
 def contest(title: str, m: Models, cast: Cast, starts: Sequence[ReverseProcess]) -> dict[str, Result]:
-    """Everybody on one of ``NOISES``: errors of all joints, their settings chosen on the people who choose."""
+    """Everybody on one of ``NOISES``: errors of all joints, their settings chosen on the validation people."""
     noise = Noise.of(*NOISES[title])
-    noisy = [noise.on(w.motion, torch.Generator().manual_seed(k)) for k, w in enumerate((cast.practice, cast.report))]
-    tuned = {n: rivals.tune(n, noisy[0], cast.practice.motion) for n in rivals.FILTERS}
-    best = cases.chosen(list(tuned), lambda n: rivals.filtered(noisy[0], n, **tuned[n]), cast.practice.motion)
+    noisy = [noise.on(w.motion, torch.Generator().manual_seed(k)) for k, w in enumerate((cast.val, cast.test))]
+    tuned = {n: rivals.tune(n, noisy[0], cast.val.motion) for n in rivals.FILTERS}
+    best = cases.chosen(list(tuned), lambda n: rivals.filtered(noisy[0], n, **tuned[n]), cast.val.motion)
     rough = [rivals.filtered(x, best, **tuned[best]) for x in noisy]
 
     ways: dict[str, tuple[Callable[[int, object], Motion], Sequence]] = {
@@ -108,9 +108,9 @@ def contest(title: str, m: Models, cast: Cast, starts: Sequence[ReverseProcess])
     }
     found = {}
     for name, (make, options) in ways.items():
-        aims = [float(by_person(_off(make(0, o), cast.practice.motion), cast.practice.whose).mean()) for o in options]
+        aims = [float(by_person(_off(make(0, o), cast.val.motion), cast.val.whose).mean()) for o in options]
         setting = options[aims.index(min(aims))]
-        error = _off(make(1, setting), cast.report.motion)
+        error = _off(make(1, setting), cast.test.motion)
         found[name] = Result({ERROR: error, SCORE: error}, setting, name in (FILTER, GAUSSIAN))
     return found
 

@@ -1,6 +1,6 @@
 """Which numbers each test of the ledger is judged by: of the bench, of seams, of transitions; one for each person.
 
-Everybody is compared with the best rival on the report, which favours rivals, and so is the second best: the baseline.
+Everybody is compared with the best rival on test people, which favours rivals, and so is the second best: the baseline.
 """
 
 from collections.abc import Callable, Iterator, Mapping

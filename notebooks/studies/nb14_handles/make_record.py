@@ -45,12 +45,12 @@ def ways(model: Poser) -> dict[str, trials.Way]:
 
 
 def ship(folder: Path) -> None:
-    """Trains the model that ships and writes it, with what it is worth on people who choose."""
+    """Trains the model that ships and writes it, with what it is worth on validation people."""
     recipe = PoseRecipe()
     windows, chosen = train_more.learnt_from(folder, 1)
     (model,) = training.train([recipe], windows)
-    choose = people.poses(chosen, EACH)
-    tried = {name: trials.tried([way], choose, seeded) for name, way in ways(model).items()}
+    val = people.poses(chosen, EACH)
+    tried = {name: trials.tried([way], val, seeded) for name, way in ways(model).items()}
     made_up = float((windows.people[windows.clip] == windows.people.max()).sum()) / windows.fps / 60
     minutes = len(windows.root) / windows.fps / 60
     about = {
@@ -58,7 +58,7 @@ def ship(folder: Path) -> None:
         "step": recipe.steps, "windows": windows.digest, "torch": torch.__version__,
         "minutes of motion, before mirroring": {"recordings": minutes - made_up, "synthetic": made_up},
         "people": int(windows.people.max()),
-        "quality, people who choose": {f"{n}, {k}": float(x.mean()) for n, by in tried.items() for k, x in by.items()},
+        "quality, validation people": {f"{n}, {k}": float(x.mean()) for n, by in tried.items() for k, x in by.items()},
         "recipe": asdict(recipe),
     }  # fmt: skip
     tensors = {n: x if n in ("mean", "scale") else x.half() for n, x in model.state_dict().items()}
@@ -66,19 +66,19 @@ def ship(folder: Path) -> None:
 
 
 def record(folder: Path, path: Path, seeds: int) -> None:
-    """Trains and measures all arms on the people of the report; seeds that are on record of these recipes stay."""
+    """Trains and measures all arms on the test people; seeds that are on record of these recipes stay."""
     recipe = {name: asdict(arm) for name, arm in ARMS.items()} | {"poses of a person": EACH}
     before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     rows = before["rows"] if before.get("recipe") == recipe else []
     left = [seed for seed in range(seeds) if seed not in {row["seed"] for row in rows}]
     if not left:
         return
-    windows, report = train_more.learnt_from(folder, 1)[0], people.poses(people.takes(folder, "report"), EACH)
+    windows, test = train_more.learnt_from(folder, 1)[0], people.poses(people.takes(folder, "test"), EACH)
     for seed in left:
         models = training.train([replace(arm, seed=seed) for arm in ARMS.values()], windows)
         asked = {(arm, how): way for arm, m in zip(ARMS, models, strict=True) for how, way in ways(m).items()}
         for (arm, how), way in (asked | {("mean pose", "Eq. 4.10"): trials.mean_kept(models[0])}).items():
-            found = trials.tried([way], report, seeded, finish=how != "Eq. 4.10")
+            found = trials.tried([way], test, seeded, finish=how != "Eq. 4.10")
             rounded = {measure: [round(v, 4) for v in x.tolist()] for measure, x in found.items()}
             rows.append({"seed": seed, "arm": arm, "asked": how} | rounded)
         files.write_whole(path, json.dumps({"recipe": recipe, "rows": rows}) + "\n")

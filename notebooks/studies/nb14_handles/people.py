@@ -55,7 +55,7 @@ def takes(folder: Path | None, part: str, every: int = 1) -> list[Take]:
     """Returns each n-th take of a part; of synthetic people without a folder."""
     if folder:
         return corpus.assemble(folder, splits.real_sources(folder), progress=False).part(part)[::every]
-    if part == "report":
+    if part == "test":
         clips = scenes.held_out(16)
         motions = [clips.clip(k) for k in range(16)]
     else:

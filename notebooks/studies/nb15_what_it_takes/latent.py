@@ -101,13 +101,13 @@ def everybody(
     return made, took
 
 
-def compared(made: Mapping[str, Mapping[int, Motion]], report: PersonWindows) -> Panel:
-    """Frechet distance of what was made to people of the report, by person."""
-    real = Judged.of(report.motion)
+def compared(made: Mapping[str, Mapping[int, Motion]], test: PersonWindows) -> Panel:
+    """Frechet distance of what was made to test people, by person."""
+    real = Judged.of(test.motion)
 
     def far(motion: Motion) -> Tensor:
         mine = Judged.of(motion)
-        return pseudo(lambda some: frechet(mine, some), [real], report.whose)
+        return pseudo(lambda some: frechet(mine, some), [real], test.whose)
 
     lines = {name: {k: far(motion) for k, motion in made[name].items()} for name in (LATENT, GAUSSIAN)}
     return Panel(lines, "numbers k of a window", "Frechet distance", {P: far(made[P][0])})

@@ -82,10 +82,10 @@ def middle(windows: PersonWindows) -> Tensor:
     return torch.stack([some[len(some) // 2] for some in mine])
 
 
-def tuned(learn, model: MotionDiffusion, people: int, seed: int, choose: Rows):
-    """What ``learn`` (people, seed, weight) learnt, by the weight that leaves least of the people who choose."""
+def tuned(learn, model: MotionDiffusion, people: int, seed: int, val: Rows):
+    """What ``learn`` (people, seed, weight) learnt, by the weight that leaves least of the validation people."""
     tried = [learn(people, seed, weight) for weight in (100.0, 1000.0, 10_000.0)]
-    return min(tried, key=lambda guess: float(left_cm(model, choose, guess(choose.x)).mean()))
+    return min(tried, key=lambda guess: float(left_cm(model, val, guess(val.x)).mean()))
 
 
 def hours() -> dict[str, dict[float, Tensor]]:
@@ -94,7 +94,7 @@ def hours() -> dict[str, dict[float, Tensor]]:
     by: dict[str, dict[float, list]] = {NETWORK: {}, RIDGE: {}}
     for row in found:
         for name, key in ((NETWORK, "legs hidden"), (RIDGE, "legs hidden, ridge")):
-            by[name].setdefault(round(row["hours"], 1), []).append(row["report"][key])
+            by[name].setdefault(round(row["hours"], 1), []).append(row["test"][key])
     return {name: {h: torch.tensor(x).double().mean(0) for h, x in some.items()} for name, some in by.items()}
 
 

@@ -30,11 +30,11 @@ STAGE_2, STAGE_3 = "stage 2", "stage 3"
 
 def contest(title: str, everybody: Mapping[str, Contender], models: Models, cast: Cast, steps: Sequence[int]) -> Bench:
     """R, the Gaussian's draws, and two draws of T in so many steps of its sampler ("5", say) on a case."""
-    few = people.only(cast.report, people.some(cast.report, 6))
+    few = people.only(cast.test, people.some(cast.test, 6))
     draws = {f"{n}": lambda motion, known, _, seed, n=n: models.drawn(motion, known, seed, n) for n in steps}
     who = {name: everybody[name] for name in (R, GAUSSIAN)}
     who |= {n: Contender(draw, draws=2, told=False, rival=False) for n, draw in draws.items()}
-    return Bench({title: bench.contest(title, who, replace(cast, report=few))}, few.whose)
+    return Bench({title: bench.contest(title, who, replace(cast, test=few))}, few.whose)
 
 
 def over_steps(table: Bench, title: str, steps: Sequence[int]) -> Panel:

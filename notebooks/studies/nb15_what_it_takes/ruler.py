@@ -1,4 +1,4 @@
-"""Which measures see a fault: recorded windows of the people who choose, as they were and spoilt, beside the report."""
+"""Which measures see a fault: recorded windows of validation people, as they were and spoilt, beside test people."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -42,10 +42,10 @@ def spoilt(motion: Motion, generator: Generator) -> dict[str, Motion]:
     }
 
 
-def by_people(made: Mapping[str, Motion], report: PersonWindows) -> dict[str, dict[str, Tensor]]:
+def by_people(made: Mapping[str, Motion], test: PersonWindows) -> dict[str, dict[str, Tensor]]:
     """By what was made and by measure: a number for each person (P,). OVER: Frechet distance over that of PLAIN."""
     every, found = {name: Judged.of(motion) for name, motion in made.items()}, {}
-    real, plain, whose = Judged.of(report.motion), every[PLAIN], report.whose
+    real, plain, whose = Judged.of(test.motion), every[PLAIN], test.whose
     for name, mine in every.items():
         found[name] = shares(mine, real, whose)
         found[name]["Frechet"] = pseudo(lambda some, x=mine: frechet(x, some), [real], whose)

@@ -1,6 +1,6 @@
 """The bench: every case, everybody who can do it, one number per window and measure.
 
-Settings are chosen on the people who choose; the best rival is the best on the report.
+Settings are chosen on the validation people; the best rival is the best on test people.
 """
 
 from collections.abc import Callable, Mapping
@@ -65,7 +65,7 @@ CASES: Mapping[str, Asked] = {
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What somebody makes of a case: scores of the report's windows, and the setting. rival: has no network. single:
+    """What somebody makes of a case: scores of the test windows, and the setting. rival: has no network. single:
     gives one answer."""
 
     scores: Scores
@@ -93,7 +93,7 @@ class Bench:
         return [self.people(case, n, measure, both) for n in (a, b)]
 
     def ranked(self, case: str, measure: str = ERROR, rows: Tensor | None = None) -> list[str]:
-        """Rivals, the best on the report first, which favours them: of one answer for the error, all for the score."""
+        """Rivals, the best on test people first, which favours them: of one answer for the error, all for the score."""
         names = [n for n, r in self.found[case].items() if r.rival and (r.single or measure == SCORE)]
         return sorted(names, key=lambda n: float(self.people(case, n, measure, rows).nanmean()))
 
@@ -140,7 +140,7 @@ def path_m(motion: Motion, known: Tensor) -> Tensor:
 
 
 def contest(title: str, everybody: Mapping[str, Contender], cast: Cast) -> dict[str, Result]:
-    """Everybody who can do a case, by name; settings by the people who choose."""
+    """Everybody who can do a case, by name; settings by the validation people."""
     case, found = CASES[title], {}
     for name, who in everybody.items():
         options = list(who.settings(case.edges, case.scattered))
@@ -148,8 +148,8 @@ def contest(title: str, everybody: Mapping[str, Contender], cast: Cast) -> dict[
             continue
         if options[1:]:
             quick = replace(who, draws=min(who.draws, 2))  # what a score is on average does not depend on how many
-            tried = (scored(quick, o, case, cast.practice)[SCORE] for o in options)
-            aims = [float(by_person(x, cast.practice.whose).mean()) for x in tried]
+            tried = (scored(quick, o, case, cast.val)[SCORE] for o in options)
+            aims = [float(by_person(x, cast.val.whose).mean()) for x in tried]
             options = [options[aims.index(min(aims))]]
-        found[name] = Result(scored(who, options[0], case, cast.report), options[0], who.rival, who.draws == 1)
+        found[name] = Result(scored(who, options[0], case, cast.test), options[0], who.rival, who.draws == 1)
     return found

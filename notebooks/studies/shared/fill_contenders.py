@@ -36,8 +36,8 @@ MIXED = Inpainting(steps=50, replace_last=False, blend_frames=EDGE)  # and then 
 BLENDED = Inpainting(steps=50, mask_ramp=EDGE)  # 4.2.5
 _GUIDED = Inpainting(known="impute", guidance_weight=1.0, steps=25)
 _GUIDED_IN_TIME = replace(_GUIDED, replace_last=False, blend_frames=EDGE)
-#: Guided, by whether a case has edges in time, and whether every window has a mask of its own: chosen on the people who
-#: choose, of weights 1 to 20, 25 and 50 steps, with and without the last writing back.
+#: Guided, by whether a case has edges in time, and whether every window has a mask of its own: chosen on validation
+#: people, of weights 1 to 20, 25 and 50 steps, with and without the last writing back.
 GUIDANCE = {
     (False, False): _GUIDED, (False, True): _GUIDED, (True, True): _GUIDED_IN_TIME,
     (True, False): replace(_GUIDED_IN_TIME, guidance_weight=5.0),
@@ -111,7 +111,7 @@ def everybody_of(
 ) -> tuple[Cast, Models, Mapping[str, Contender]]:  # fmt: skip
     """Windows, models, and contenders by name.
 
-    each, practice: windows of each person of the report, and of those who choose. library, parts: windows that rivals
+    each, practice: windows of each test person, and of validation people. library, parts: windows that rivals
     learn from, and parts of the Gaussian. most: steps of P's sampler. halves: compute in bfloat16 where that is fast.
     """
     cast = Cast.of(folder, each, practice, library, torch.Generator().manual_seed(0))

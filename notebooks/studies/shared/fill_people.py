@@ -1,4 +1,4 @@
-"""Who is filled in: windows of the people who choose settings and of those of the report, and what rivals learn from.
+"""Who is filled in: windows of validation people (for settings) and of test people, and what rivals learn from.
 
 Without recordings, the sequences of the synthetic subject whom nobody trained on stand for people.
 """
@@ -28,28 +28,28 @@ _SHORT = 8.0  # seconds of a synthetic sequence that count as one recording
 
 @dataclass(frozen=True, eq=False)
 class Cast:
-    """practice, report: windows of the people who choose and of the report. takes: of both, by part. learnt (N, T):
-    windows of the people who train, of the clips (N,)."""
+    """val, test: windows of validation and of test people. takes: of both, by part. learnt (N, T):
+    windows of the training people, of the clips (N,)."""
 
-    practice: PersonWindows
-    report: PersonWindows
+    val: PersonWindows
+    test: PersonWindows
     takes: dict[str, list[Take]]
     learnt: Motion
     clips: Tensor
 
     @classmethod
-    def of(cls, folder: Path | str | None, each: int, practice: int, library: int, generator: torch.Generator) -> Cast:
-        """each, practice: windows of each person of the report and of those who choose. library: N."""
+    def of(cls, folder: Path | str | None, each: int, val: int, library: int, generator: torch.Generator) -> Cast:
+        """each, val: windows of each test person and of validation people. library: N."""
         if folder:
             found = corpus.assemble(folder, splits.real_sources(folder))
-            takes, data = {part: found.part(part) for part in ("choose", "report")}, learnt_from(folder, FRAMES)[0]
+            takes, data = {part: found.part(part) for part in ("val", "test")}, learnt_from(folder, FRAMES)[0]
         else:
             made = synthetic.build(version="B")
-            takes = {"choose": _cut(made.heldout_sequences), "report": _cut(made.heldout_subject)}
+            takes = {"val": _cut(made.heldout_sequences), "test": _cut(made.heldout_subject)}
             data = gather([on_standard(s.motion) for s in made.train], FRAMES)
-        windows = {part: person_windows(takes[part], FRAMES, n) for part, n in (("choose", practice), ("report", each))}
+        windows = {part: person_windows(takes[part], FRAMES, n) for part, n in (("val", val), ("test", each))}
         learnt, clips = data.drawn(library, generator)
-        return cls(windows["choose"], windows["report"], takes, replace(learnt, skeleton=STANDARD), clips)
+        return cls(windows["val"], windows["test"], takes, replace(learnt, skeleton=STANDARD), clips)
 
 
 def _cut(sequences: Sequence[synthetic.Sequence]) -> list[Take]:

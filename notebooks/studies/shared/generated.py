@@ -130,10 +130,10 @@ def beside_the_best(
     judged: Mapping[str, Judged], rivals: Sequence[str], real: Judged, whose: Tensor, taught: Judged
 ) -> dict[str, tuple[Tensor, Tensor, str]]:
     """What D06 asks of "P", and the same of the best of some rivals: test -> (values, the rival's, its name). covers:
-    by person (P,), coverage less 0.8 times that of "people who train", the more the better. The others are over
+    by person (P,), coverage less 0.8 times that of "training people", the more the better. The others are over
     training motion, by sample, the nearer to 1 the better."""
     cover = {name: shares(made, real, whose)["coverage"] for name, made in judged.items()}
-    cover = {name: mine - 0.8 * cover["people who train"] for name, mine in cover.items()}
+    cover = {name: mine - 0.8 * cover["training people"] for name, mine in cover.items()}
     best = max(rivals, key=lambda name: cover[name].mean())
     found = {"covers": (cover["P"], cover[best], best)}
     for test, name in (("travel", "travel"), ("slides", "slide"), ("acceleration", "acceleration")):

@@ -37,14 +37,14 @@ RECORDS = Path(__file__).parents[2] / "results" / "long"
 STEPS, LONGER = 1000, 10  # of the optimiser; times that where somebody stops training
 ALL = LossWeights()
 BASE = DenoiserRecipe(size="small", patch=4, steps=STEPS, batch=16, lr=2e-3, warm_up=100, dropout=0.0, weights=ALL)
-_EACH, _PRACTICE = 12, 6  # windows of a person: of the report, and of those who choose
+_EACH, _PRACTICE = 12, 6  # windows of a test and of a validation person
 _KEEP, _JUDGEMENTS = 250, 20  # steps between two states kept; judgements of a run that is stopped
 
 
 @dataclass(frozen=True)
 class Arm:
-    """name, recipe: of what is trained, seed and all. people: of the people who train so many, drawn by the seed, and
-    no synthetic ones; 0: all of both. stops: judged on its way by the people who choose; best and last are kept."""
+    """name, recipe: of what is trained, seed and all. people: of the training people so many, drawn by the seed, and
+    no synthetic ones; 0: all of both. stops: judged on its way by the validation people; best and last are kept."""
 
     name: str
     recipe: DenoiserRecipe
@@ -124,11 +124,11 @@ def estimates_by_seed(rows: Sequence[dict], arm: str, measure: str) -> torch.Ten
 # ------------------------------------------------------------------------------------------------------------ training
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """windows: to learn from. choose: windows (N, T) that stop a run. report: that everything is measured on."""
+    """windows: to learn from. val: windows (N, T) that stop a run. test: that everything is measured on."""
 
     windows: Windows
-    choose: Motion
-    report: PersonWindows
+    val: Motion
+    test: PersonWindows
 
 
 def folder() -> Path:
@@ -141,8 +141,8 @@ def folder() -> Path:
 def _data(recordings: Path) -> _Data:
     """Windows of a folder of recordings; minutes."""
     windows, takes = learnt_from(recordings, FRAMES)
-    report = corpus.assemble(recordings, splits.real_sources(recordings)).part("report")
-    return _Data(windows, person_windows(takes, FRAMES, _PRACTICE).motion, person_windows(report, FRAMES, _EACH))
+    test = corpus.assemble(recordings, splits.real_sources(recordings)).part("test")
+    return _Data(windows, person_windows(takes, FRAMES, _PRACTICE).motion, person_windows(test, FRAMES, _EACH))
 
 
 def _of_people(windows: Windows, count: int, seed: int) -> Windows:
@@ -161,7 +161,7 @@ def trained(arm: Arm, data: _Data) -> dict[str, MotionDiffusion]:
     windows = _of_people(data.windows, arm.people, arm.recipe.seed) if arm.people else data.windows
     unfinished = folder() / f"{arm.digest}.partial.pt"
     run = DenoiserTraining.resume(unfinished, windows) if unfinished.exists() else DenoiserTraining(arm.recipe, windows)
-    ways = {"judge": partial(_judged, data.choose), "judge_every": arm.recipe.steps // _JUDGEMENTS} if arm.stops else {}
+    ways = {"judge": partial(_judged, data.val), "judge_every": arm.recipe.steps // _JUDGEMENTS} if arm.stops else {}
     run.run(keep=unfinished, every=_KEEP, **ways)
     models = [run.shipped, run.averaged] if arm.stops else [run.averaged]
     for (name, path), model in zip(paths.items(), models, strict=True):
@@ -171,9 +171,9 @@ def trained(arm: Arm, data: _Data) -> dict[str, MotionDiffusion]:
     return {name: load_denoiser(path) for name, path in paths.items()}
 
 
-def _judged(choose: Motion, model: MotionDiffusion) -> dict[str, float]:
+def _judged(val: Motion, model: MotionDiffusion) -> dict[str, float]:
     """The mean error of x_0 over levels of noise, on windows (N, T)."""
-    found = model.errors(choose, torch.Generator().manual_seed(0))
+    found = model.errors(val, torch.Generator().manual_seed(0))
     return {"x0 error": sum(found.values()) / len(found)}
 
 
@@ -181,7 +181,7 @@ def run(name: str, data: _Data, seeds: int | None) -> None:
     """Trains and measures what is not on record of a set, for the first ``seeds`` seeds."""
     path = RECORDS / f"small_{name}.json"
     found = record(name) if path.exists() else {"beside": {}, "rows": []}
-    found["beside"] = small_measures.beside(data.report) | found["beside"]
+    found["beside"] = small_measures.beside(data.test) | found["beside"]
     for arm in SETS[name]:
         if seeds is not None and arm.recipe.seed >= seeds:
             continue
@@ -191,7 +191,7 @@ def run(name: str, data: _Data, seeds: int | None) -> None:
         before = time.process_time()
         for kept, model in trained(arm, data).items():
             row = {"arm": kept, "seed": arm.recipe.seed, "recipe": arm.digest, "steps": arm.recipe.steps}
-            row |= small_measures.measured(model, data.report)
+            row |= small_measures.measured(model, data.test)
             at[kept, arm.recipe.seed] = row
             said = ", ".join(f"{what} {x:.3g}" for what, x in row["samples"].items())
             error, seconds = torch.tensor([*row["estimates"]["x0 error"].values()]).mean(), time.process_time() - before
@@ -199,7 +199,7 @@ def run(name: str, data: _Data, seeds: int | None) -> None:
         found["rows"] = sorted(at.values(), key=lambda row: (row["seed"], row["arm"]))
         _write(path, found)
     if small_measures.PLAIN not in found["beside"]:
-        _write(path, found | {"beside": found["beside"] | small_measures.plateau(data.report)})
+        _write(path, found | {"beside": found["beside"] | small_measures.plateau(data.test)})
 
 
 def _write(path: Path, found: dict) -> None:

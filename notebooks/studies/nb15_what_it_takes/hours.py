@@ -1,11 +1,11 @@
-"""How much does the completer gain from more hours of real motion? It is trained on parts of the people who train.
+"""How much does the completer gain from more hours of real motion? It is trained on parts of the training people.
 
-    PYTHONPATH=notebooks python -m studies.nb01_data.hours FOLDER OUT.json
+    PYTHONPATH=notebooks python -m studies.nb15_what_it_takes.hours FOLDER OUT.json
 
 A part is so many minutes of people in an order drawn by the seed, which the first weights are drawn by as well; the
 smaller parts are within the larger ones. Every run takes the same number of steps, and keeps the weights that are best
-on the people who choose, so that a small part is not judged by what it forgot at the end. Errors are of the people of
-the report, each counting alike. Beside it stands ridge regression of the same motion. A run that is in OUT
+on the validation people, so that a small part is not judged by what it forgot at the end. Errors are of test people,
+each counting alike. Beside it stands ridge regression of the same motion. A run that is in OUT
 already is not made again.
 """
 
@@ -30,7 +30,7 @@ from motionlab.skeleton import STANDARD
 from motionlab.training.completer_training import CompleterTraining
 
 SHARES, SEEDS = (1 / 32, 1 / 8, 1 / 2, 1.0), (0, 1, 2)
-EACH, PRACTICE = 24, 8  # windows of a person: of the report, and to choose on
+EACH, PRACTICE = 24, 8  # windows of a person: test, validation
 LEGS = "legs hidden"
 #: Far fewer steps than of what ships.
 COMPLETER = CompleterRecipe(kinds=(("legs", 1.0),), steps=800, batch=32)
@@ -51,7 +51,7 @@ def part_of_people(takes: Sequence[Take], share: float, seed: int) -> list[Take]
     return found
 
 
-def trained(takes: Sequence[Take], seed: int, choose: PersonWindows, report: PersonWindows) -> dict:
+def trained(takes: Sequence[Take], seed: int, val: PersonWindows, test: PersonWindows) -> dict:
     """Trains the completer, of which the best of four averaged models on the way counts, and fits ridge regression, its
     width chosen by the same people."""
     motions, people = [on_standard(t.motion) for t in takes], [t.person for t in takes]
@@ -63,14 +63,14 @@ def trained(takes: Sequence[Take], seed: int, choose: PersonWindows, report: Per
     run, best = CompleterTraining(replace(COMPLETER, seed=seed), data), float("inf")
     while run.step < run.recipe.steps:
         run.run(until=run.step + run.recipe.steps // 4)
-        if (error := sum(legs(run.averaged.complete, choose))) < best:
+        if (error := sum(legs(run.averaged.complete, val))) < best:
             best, step, model = error, run.step, run.averaged
     generator = torch.Generator().manual_seed(seed)
     fitted = rivals.Rivals.fit(replace(data.draw(RIDGE_ROWS, generator), skeleton=STANDARD), generator)
     ridges = {width: replace(fitted, ridge=width).regression for width in rivals.RIDGES}
-    width = min(ridges, key=lambda width: sum(legs(ridges[width], choose, True)))
+    width = min(ridges, key=lambda width: sum(legs(ridges[width], val, True)))
     found = {"step": step, "ridge's width": width}
-    for part, windows in (("choose", choose), ("report", report)):
+    for part, windows in (("val", val), ("test", test)):
         found[part] = {LEGS: legs(model.complete, windows), f"{LEGS}, ridge": legs(ridges[width], windows, True)}
     return found
 
@@ -82,9 +82,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     options = parser.parse_args()
     found = corpus.assemble(options.folder, splits.real_sources(options.folder))
-    windows = {
-        part: person_windows(found.part(part), FRAMES, n) for part, n in (("choose", PRACTICE), ("report", EACH))
-    }
+    windows = {part: person_windows(found.part(part), FRAMES, n) for part, n in (("val", PRACTICE), ("test", EACH))}
     every = json.loads(options.out.read_text()) if options.out.exists() else {}
     rows = every.setdefault("completer", [])
     done = {(row["share"], row["seed"]) for row in rows}
