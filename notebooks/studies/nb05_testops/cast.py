@@ -16,7 +16,6 @@ from data_synth.scenes import Scene
 from motionlab.corpus import Take
 from motionlab.metrics.gait import SEATED, tilt_and_bend
 from motionlab.motion import Motion
-from motionlab.splits import subsample
 from studies.shared import clips
 from studies.shared.clips import FRAMES, stacked
 from studies.shared.sitting import SEAT, unsupported
@@ -45,19 +44,10 @@ def everyday(some: Sequence[Take], count: int) -> Cast:
 
 
 def who(some: Sequence[Take], fits: Fits, each: int, most: int, seed: int, words: str = "") -> Cast:
-    """Returns clips that begin where ``fits`` (starts,) is true, at most ``each`` a person and ``most`` in all.
-
-    Beginnings are drawn; clips of one take do not overlap. words: what a take's description must match.
-    """
-    generator, found = torch.Generator().manual_seed(seed), {}
-    for take in (take for take in some if re.search(words, take.said, re.IGNORECASE)):
-        starts = fits(take.motion).nonzero().flatten()
-        while len(starts):
-            at = int(starts[torch.randint(len(starts), (), generator=generator)])
-            found.setdefault(take.person, []).append(take.motion.cut(at, at + FRAMES))
-            starts = starts[(starts - at).abs() >= FRAMES]
-    pairs = [(who, m) for who, motions in found.items() for m in subsample(motions, each)]
-    return _cast(subsample(pairs, most))
+    """Returns clips that begin where ``fits`` (starts,) is true, as ``clips.begun``. words: what a take's description
+    must match."""
+    told = [take for take in some if re.search(words, take.said, re.IGNORECASE)]
+    return _cast(clips.begun(told, fits, torch.Generator().manual_seed(seed), each, most))
 
 
 def acted(action: str, fits: Fits, count: int, seed: int, **options) -> Cast:
@@ -105,11 +95,6 @@ def _from_to(begin: Tensor, end: Tensor, *, turned: bool = False) -> Tensor:
     last = FRAMES - _MOMENT
     there = begin[:-last] & end[last:]
     return there | (end[:-last] & begin[last:]) if turned else there
-
-
-def walks(motion: Motion) -> Tensor:
-    """(starts,) true where the pelvis goes 1.5 m or more in the clip."""
-    return (motion.root[FRAMES - 1 :, :2] - motion.root[: motion.frames - FRAMES + 1, :2]).norm(dim=-1) > 1.5
 
 
 def lies(motion: Motion) -> Tensor:

@@ -22,7 +22,7 @@ from studies.nb05_testops import cast as clips_of
 from studies.nb05_testops import measures
 from studies.nb05_testops.cast import Cast, by_person
 from studies.nb05_testops.trials import Rival, rival_of, scores
-from studies.shared.clips import FRAMES, takes
+from studies.shared.clips import FRAMES, goes, takes
 from studies.shared.sitting import seated
 
 SYNTHETIC, CMU = "synthetic", "CMU"
@@ -79,7 +79,7 @@ def real(
     some = takes(folder, part)
     cast = {PLAIN: clips_of.everyday(some, clips + clips // 2), FLIPS: clips_of.everyday(some, clips)}
     cast[FALSE] = cast[FLIPS]
-    drawn = {SITS: (clips_of.sits_down, 2, ""), SINKS: (clips_of.sinks, 1, ""), WALKS: (clips_of.walks, 1, "walk"),
+    drawn = {SITS: (clips_of.sits_down, 2, ""), SINKS: (clips_of.sinks, 1, ""), WALKS: (goes, 1, "walk"),
              FLOOR: (clips_of.lies, 2, ""), DANCE: (clips_of.lively, 2, "danc|salsa|macarena")}  # fmt: skip
     cast |= {case: clips_of.who(some, fits, each, clips + 2, seed, said) for case, (fits, each, said) in drawn.items()}
     cast[WALL] = cast[WALKS]

@@ -1,11 +1,12 @@
 """Clips of two seconds of the people of the CMU library, and parts of what a camera saw."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from motionlab import corpus, splits
 from motionlab.corpus import Take
@@ -37,6 +38,28 @@ def everyday(some: Sequence[Take], count: int) -> list[tuple[str, Motion]]:
     each = -(-count // len(by_person))
     pairs = [(who, m) for who, motions in by_person.items() for m in splits.subsample(motions, each + 2)[1:-1]]
     return splits.subsample(pairs, count)
+
+
+def begun(
+    some: Sequence[Take], fits: Callable[[Motion], Tensor], generator: torch.Generator, each: int, most: int
+) -> list[tuple[str, Motion]]:
+    """Returns clips that begin where ``fits`` (starts,) is true, at most ``each`` a person and ``most`` in all.
+
+    Beginnings are drawn; clips of one take do not overlap.
+    """
+    found: dict[str, list[Motion]] = {}
+    for take in some:
+        starts = fits(take.motion).nonzero().flatten()
+        while len(starts):
+            at = int(starts[torch.randint(len(starts), (), generator=generator)])
+            found.setdefault(take.person, []).append(take.motion.cut(at, at + FRAMES))
+            starts = starts[(starts - at).abs() >= FRAMES]
+    return splits.subsample([(who, m) for who, motions in found.items() for m in splits.subsample(motions, each)], most)
+
+
+def goes(motion: Motion, metres: float = 1.5) -> Tensor:
+    """(starts,) true where the pelvis goes farther in the clip."""
+    return (motion.root[FRAMES - 1 :, :2] - motion.root[: motion.frames - FRAMES + 1, :2]).norm(dim=-1) > metres
 
 
 def part(seen: Observation2D, *at) -> Observation2D:
