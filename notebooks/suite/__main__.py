@@ -17,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns 0 if all notebooks ran, 1 if some failed, 2 if something is missing."""
     options = _parser().parse_args(arguments)
     try:
-        return options.run(options)
+        return 0 if all(run.ok for run in options.run(options)) else 1
     except KeyboardInterrupt:
         print("\nstopped", file=sys.stderr)
         return 130
@@ -29,34 +29,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m suite", description="Run the notebooks.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-
-    def command(name: str, run, does: str) -> argparse.ArgumentParser:
-        made = commands.add_parser(name, help=does)
-        made.set_defaults(run=run)
-        return made
-
-    what = {"nargs": "*", "help": 'only these, such as "02"'}
-    profile = {"choices": ("smoke", "full"), "default": os.environ.get("MOTIONLAB_PROFILE") or "smoke"}
-    made = command("report", _report, "the notebooks as pages, checked by running them")
-    made.add_argument("notebooks", **what)
+    some = argparse.ArgumentParser(add_help=False)
+    some.add_argument("notebooks", nargs="*", help='only these, such as "02"')
+    made = commands.add_parser("report", parents=[some], help="the notebooks as pages, checked by running them")
+    made.set_defaults(run=_report)
     made.add_argument("--out", type=Path, default=ROOT / "report")
-    made.add_argument("--profile", **profile)
+    usual = os.environ.get("MOTIONLAB_PROFILE") or "smoke"
+    made.add_argument("--profile", choices=("smoke", "full"), default=usual)
     made.add_argument("--no-run", action="store_true", help="only the pages, which then say: not checked today")
-    made = command("regenerate", _regenerate, "run the notebooks in place, full profile, as committed")
-    made.add_argument("notebooks", **what)
+    made = commands.add_parser("regenerate", parents=[some], help="run the notebooks in place, in full, as committed")
+    made.set_defaults(run=_regenerate)
     made.add_argument("--fingerprints", action="store_true", help="only what smoke runs measure, into the records")
     made.add_argument("--again", action="store_true", help="with --fingerprints: also where the recorded one differs")
-    command("pages", lambda _: pages.update(ROOT) or 0, "docs/scoreboard.md and README's findings, from the records")
+    made = commands.add_parser("pages", help="docs/scoreboard.md and README's findings, from the records")
+    made.set_defaults(run=lambda _: pages.update(ROOT) or ())
     return parser
 
 
-def _report(options: argparse.Namespace) -> int:
+def _report(options: argparse.Namespace) -> list[execute.Run]:
     runs = report.write_report(options.out, options.profile, options.notebooks, run=not options.no_run)
     print(f"{'not run' if options.no_run else execute.run_summary(runs)}; report: {options.out / 'index.html'}")
-    return 0 if all(run.ok for run in runs) else 1
+    return runs
 
 
-def _regenerate(options: argparse.Namespace) -> int:
+def _regenerate(options: argparse.Namespace) -> list[execute.Run]:
     if options.fingerprints:
         runs = execute.take_fingerprints(options.notebooks, again=options.again)
     else:
@@ -64,7 +60,7 @@ def _regenerate(options: argparse.Namespace) -> int:
     print(execute.run_summary(runs))  # first: the pages cannot be written where an answer lacks its finding
     if not options.fingerprints:
         pages.update(ROOT)
-    return 0 if all(run.ok for run in runs) else 1
+    return runs
 
 
 if __name__ == "__main__":

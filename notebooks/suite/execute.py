@@ -66,13 +66,12 @@ def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
     suite = sorted(NOTEBOOKS.glob("[0-9][0-9]*_*.ipynb"))
     if not suite:
         raise MissingData(f"{NOTEBOOKS}/NN_*.ipynb", "Run this in a checkout of motionlab.")
-    chosen = suite if not names else []
+    chosen = set() if names else set(suite)
     for name in names:
-        found = [path for path in suite if path.name.startswith(Path(name).name)]
-        if not found:
+        if not (found := [path for path in suite if path.name.startswith(Path(name).name)]):
             raise MissingData(f"notebook {name!r}", f"There are: {', '.join(path.stem for path in suite)}.")
-        chosen += found
-    return sorted(set(chosen))
+        chosen |= set(found)
+    return sorted(chosen)
 
 
 # ------------------------------------------------------------------------------------------------------- one notebook
@@ -88,7 +87,7 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
 
     start, failed, book = time.perf_counter(), {}, None
     try:
-        book = nbformat.read(path, as_version=4)
+        book = nbformat.read(path, 4)
         client = NotebookClient(  # "immediate" ends a second sooner; what the kernel leaves lies in ``bench``
             book, timeout=None, startup_timeout=120, kernel_name="python3", record_timing=False,
             store_widget_state=False, shutdown_kernel="immediate", extra_arguments=_QUIET,
@@ -115,16 +114,13 @@ def run_side_by_side(
     jobs: Sequence[tuple[Path, Path]], environment: Mapping[str, str], *,
     done: Callable[[Run], object] = lambda run: None, processes: int | None = None,
 ) -> list[Run]:  # fmt: skip
-    """Runs notebooks (from, to) on as many processes as there are cores, one thread each; prints a line for each.
+    """Runs notebooks (from, to) on so many processes (this machine's cores), one thread each, and returns how they went
+    in the order of ``jobs``; prints a line for each.
 
-    Those that took longest when last recorded begin first. done: called with every run as it ends. ``processes``:
-    unless given, the cores of this machine.
-
-    Returns:
-        how they went, in the order of ``jobs``.
+    Those that took longest when last recorded begin first. done: called with every run as it ends.
     """
     environment, runs = ONE_THREAD | dict(environment), {}
-    queue = sorted(jobs, key=lambda job: -_smoke_seconds(job[0]))
+    queue = sorted(jobs, key=lambda job: -float(findings.record_of(job[0]).provenance.get("smoke seconds", "inf")))
 
     async def worker() -> None:
         while queue:
@@ -140,18 +136,13 @@ def run_side_by_side(
     return [runs[path] for path, _ in jobs]
 
 
-def _smoke_seconds(path: Path) -> float:
-    """Seconds that a notebook's smoke run took when its fingerprint was taken; infinite where nobody knows."""
-    return float(findings.record_of(path).provenance.get("smoke seconds", "inf"))
-
-
 def regenerate(names: Sequence[str] = ()) -> list[Run]:
     """Runs notebooks in place with the full profile and takes fingerprints: what is committed is what the code gives.
 
     A notebook that fails keeps its file.
     """
-    runs, environment = [], {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"}
-    environment |= data_variable()
+    environment = {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"} | data_variable()
+    runs = []
     for path in find_notebooks(names):
         print(f"{path.stem} ...", flush=True)
         run = asyncio.run(_execute(path, path, environment))
@@ -164,9 +155,8 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
 def take_fingerprints(names: Sequence[str] = (), *, again: bool = False) -> list[Run]:
     """Runs notebooks in the smoke profile and writes what they measure, and a hash of their cells, into their records.
 
-    For a record without a fingerprint, or whose cells were reworded: the full findings stay as they are.
-
-    again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
+    For a record without a fingerprint, or whose cells were reworded: the full findings stay as they are. again: take it
+    also where it differs from the recorded one, as where a budget of the smoke profile was changed.
     """
     apart = f"taken again on {date.today()}, apart from the full run" if again else ""
     return [_with_fingerprint(path, Run(path.stem, 0.0), again, apart) for path in find_notebooks(names)]
@@ -194,8 +184,7 @@ def _write_fingerprint(path: Path, again: bool = False, apart: str = "") -> None
         StaleRecord: the record has another fingerprint, and ``again`` is not given.
         DataError: there is no record, or a run failed.
     """
-    place = findings.record_path(path)
-    record = findings.load_record(place)
+    record = findings.load_record(findings.record_path(path))
     confirm = bool(record.fingerprint) and not again
     others, data = () if confirm else OTHER_ROUNDINGS, data_variable()
     runs = _measured(path, {"MOTIONLAB_DATA": ""}, others)
@@ -209,26 +198,25 @@ def _write_fingerprint(path: Path, again: bool = False, apart: str = "") -> None
     else:
         found, unsteady = staleness.merged([run.fingerprint for run in runs])
         real, more = staleness.merged([run.fingerprint for run in with_data])
-        for name in dict.fromkeys((*unsteady, *more)):
+        for name in dict.fromkeys(unsteady + more):
             print(f"      {name}: differs too much with other rounding, not in the fingerprint", flush=True)
         real = {name: mark for name, mark in real.items() if name not in found or not mark.agrees(found[name])}
         record = replace(record, fingerprint=found, fingerprint_on_recordings=real, recordings=last.recordings)
     said = {"smoke seconds": runs[0].provenance["seconds"]} | ({"fingerprint": apart} if apart else {})
     now = {"source_hash": staleness.code_hash(path), "weights": last.weights}
-    findings.save_record(place, replace(record, **now, provenance=record.provenance | said))
+    findings.save_record(findings.record_path(path), replace(record, **now, provenance=record.provenance | said))
 
 
 def _measured(path: Path, environment: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> list[Record]:
     """The records of smoke runs of one notebook, one after the other: as it is, and with other roundings."""
-    found = []
-    smoke = {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1"} | dict(environment)
+    found, smoke = [], {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1", **environment}
     for rounding in ({"OMP_NUM_THREADS": "1"}, *others):
         with tempfile.TemporaryDirectory() as folder:
-            out = Path(folder) / path.name
-            run = asyncio.run(_execute(path, out, smoke | {"MOTIONLAB_RESULTS": folder} | rounding))
+            place = smoke | {"MOTIONLAB_RESULTS": folder} | rounding
+            run = asyncio.run(_execute(path, Path(folder) / path.name, place))
             if not run.ok:
                 raise DataError(f"{run.status()}: {run.error}", path=path, remedy="mend it, then take its fingerprint")
-            found.append(findings.load_record(out.with_name(findings.record_path(path).name)))
+            found.append(findings.load_record(Path(folder) / findings.record_path(path).name))
     return found
 
 
@@ -239,6 +227,6 @@ def data_variable() -> dict[str, str]:
 
 
 def run_summary(runs: Sequence[Run]) -> str:
-    """Returns a text for the terminal that says how many notebooks ran, and why the others did not."""
+    """Says for the terminal how many notebooks ran, and why the others did not."""
     failed = [f"-- {run.notebook} {run.status()}: {run.error.splitlines()[0]}" for run in runs if not run.ok]
     return "\n".join([*failed, f"{len(runs) - len(failed)} of {len(runs)} notebooks ran"])

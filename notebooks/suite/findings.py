@@ -19,9 +19,7 @@ from motionlab.files import write_whole
 from suite import staleness
 from suite.staleness import Fingerprint, Mark
 
-HOLDS = "holds"
-FAILS = "does not hold"
-UNJUDGED = "cannot be judged here"
+HOLDS, FAILS, UNJUDGED = "holds", "does not hold", "cannot be judged here"
 ROLES = ("claim", "control", "apparatus", "beyond")
 
 
@@ -53,6 +51,10 @@ class Criterion:
     revised: str = ""
     other: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.relation not in (">=", "<=") or self.role not in ROLES:
+            raise ValueError(f"relation {self.relation!r}, role {self.role!r}")
+
     @property
     def name(self) -> str:
         """Its name within its claim."""
@@ -73,10 +75,6 @@ class Criterion:
     def meets(self, value: float) -> bool:
         """Returns whether a value lies within the bound, its end included."""
         return self.ends[0] <= value <= self.ends[1]
-
-    def beyond(self, low: float, high: float) -> bool:
-        """Returns whether a whole interval lies on one wrong side of the bound."""
-        return high < self.ends[0] or low > self.ends[1]
 
 
 @dataclass(frozen=True)
@@ -99,6 +97,10 @@ class Claim:
     figure: str = ""
     carriers: tuple[str, ...] = ()
     tests: tuple[Criterion, ...] = ()
+
+    def __post_init__(self) -> None:
+        if foreign := set(self.carriers) - {test.name for test in self.tests}:
+            raise ValueError(f"no test {', '.join(sorted(foreign))} to carry it")
 
 
 @dataclass(frozen=True)
@@ -129,12 +131,8 @@ class Finding:
     def value_text(self) -> str:
         """Returns value, interval (of extremes none) and n, rounded for reading."""
         extreme = self.n < 2 or self.statistic in ("max", "min")
-        interval = "" if extreme else f" [{_digits(self.low)}, {_digits(self.high)}]"
-        return f"{_digits(self.value)}{interval} {self.unit}, n = {self.n}"
-
-
-def _digits(x: float) -> str:
-    return f"{x:.3g}" if math.isfinite(x) else str(x)
+        interval = "" if extreme else f" [{self.low:.3g}, {self.high:.3g}]"
+        return f"{self.value:.3g}{interval} {self.unit}, n = {self.n}"
 
 
 def load_claims(path: Path | str) -> dict[str, Claim]:
@@ -149,27 +147,20 @@ def load_claims(path: Path | str) -> dict[str, Claim]:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise DataError(str(error), path=path, remedy="restore claims.toml from the repository") from error
     claims: dict[str, Claim] = {}
-    for row in table.get("claim", []):
-        place = f"claim {row.get('id', '?')}"
+    for row in map(_hashable, table.get("claim", [])):
         try:
-            tests = tuple(_criterion(f"{row['id']}.{name}", entry) for name, entry in row.get("test", {}).items())
-            rest = {name: value for name, value in row.items() if name != "test"}
-            claim = Claim(**{**rest, "carriers": tuple(row.get("carriers", ()))}, tests=tests)
-        except (KeyError, TypeError) as error:
-            raise DataError(str(error), path=path, place=place) from error
-        if foreign := set(claim.carriers) - {test.name for test in tests}:
-            raise DataError(f"no test {', '.join(sorted(foreign))} to carry it", path=path, place=place)
-        if claim.id in claims:
-            raise DataError("id used twice", path=path, place=place)
-        claims[claim.id] = claim
+            tests = row.pop("test", {}).items()
+            tests = tuple(Criterion(id=f"{row['id']}.{name}", **_hashable(test)) for name, test in tests)
+            if row["id"] in claims:
+                raise ValueError("id used twice")
+            claims[row["id"]] = Claim(**row, tests=tests)
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(str(error), path=path, place=f"claim {row.get('id', '?')}") from error
     return claims
 
 
-def _criterion(name: str, entry: dict) -> Criterion:
-    test = Criterion(**{**entry, "id": name, "needs": tuple(entry.get("needs", ()))})
-    if test.relation not in (">=", "<=") or test.role not in ROLES:
-        raise KeyError(f"relation {test.relation!r}, role {test.role!r}")
-    return test
+def _hashable(row: dict) -> dict:
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in row.items()}
 
 
 def all_tests(claims: dict[str, Claim]) -> dict[str, Criterion]:
@@ -184,7 +175,7 @@ def judge(test: Criterion, low: float, high: float, n: int) -> str:
     """
     if n < test.least or not (math.isfinite(low) and math.isfinite(high)):
         return UNJUDGED
-    if test.beyond(low, high):
+    if high < test.ends[0] or low > test.ends[1]:
         return FAILS
     return HOLDS if test.meets(low) and test.meets(high) else UNJUDGED
 
@@ -226,9 +217,8 @@ class Record:
 
     def moved(self, now: Record) -> list[str]:
         """Lists how a smoke run differs from this record, a phrase each."""
-        other = [name for name, digest in self.weights.items() if now.weights.get(name, digest) != digest]
-        moved = staleness.differences(self.expected(now.recordings), now.fingerprint)
-        return [*(f"{name} are other weights" for name in other), *moved]
+        other = [f"{n} are other weights" for n, digest in self.weights.items() if now.weights.get(n, digest) != digest]
+        return other + staleness.differences(self.expected(now.recordings), now.fingerprint)
 
 
 _NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure
@@ -241,13 +231,12 @@ def save_record(path: Path | str, record: Record) -> None:
     Raises:
         DataError: it cannot be written there.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     found = asdict(record)
     for row in found["findings"]:  # JSON knows no NaN
         row |= {name: None for name in _NUMBERS if math.isnan(row[name])}
     text = json.dumps(found, indent=1, ensure_ascii=False)
-    write_whole(path, re.sub(r"\[\s+(\S+),\s+(\S+)\s+\]", r"[\1, \2]", text) + "\n")  # a mark on one line
+    write_whole(Path(path), re.sub(r"\[\s+(\S+),\s+(\S+)\s+\]", r"[\1, \2]", text) + "\n")  # a mark on one line
 
 
 def load_record(path: Path | str) -> Record:
@@ -256,9 +245,8 @@ def load_record(path: Path | str) -> Record:
     Raises:
         DataError: not JSON, or not a record.
     """
-    path = Path(path)
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        raw = json.loads(Path(path).read_text(encoding="utf-8"))
         rows = [row | {name: math.nan for name in _NUMBERS if row[name] is None} for row in raw["findings"]]
         marks = {name: {n: Mark(*pair) for n, pair in raw.get(name, {}).items()} for name in _FINGERPRINTS}
         return Record(**{**raw, **marks, "findings": tuple(Finding(**row) for row in rows)})

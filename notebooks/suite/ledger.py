@@ -23,16 +23,10 @@ from dataclasses import dataclass
 from motionlab.errors import DataError
 from suite.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding
 
-CONFIRMED = "confirmed"
-REFUTED = "refuted"
-CONDITION = "true when ..."
-UNDECIDED = "undecided: needs ..."
-CONSTRUCTION = "by construction"
-OPEN = "not measured yet"
-#: Of a finding that decides nothing.
-SILENT, VOID = "not informative", "void: its control failed"
-#: Of one that does.
-DECIDES = (HOLDS, FAILS, UNJUDGED)
+CONFIRMED, REFUTED, CONDITION, UNDECIDED = "confirmed", "refuted", "true when ...", "undecided: needs ..."
+CONSTRUCTION, OPEN = "by construction", "not measured yet"
+#: Of a finding that decides nothing, and of one that does.
+SILENT, VOID, DECIDES = "not informative", "void: its control failed", (HOLDS, FAILS, UNJUDGED)
 LEAST, ROUNDS = 8, 5  # clips, people or seeds; rounds of a stopwatch
 _REAL = ("recordings", "bandai_namco", "pose2sim", "anidance", "cmu", "captury")
 _NUMBERS = re.compile(r"\d[\d.,]*\d|\d")
@@ -73,20 +67,17 @@ def verdict(claim: Claim, found: Iterable[Finding]) -> str:
     Refuted where most rows of the tests that carry it fail and none holds (``carriers``; all, where none are named).
     """
     weighed = weigh(claim, found)
-    rows = [w for w in weighed if w.test.role == "claim"]
     if weighed and not any(test.role == "claim" for test in claim.tests):
         built = {w.says for w in weighed if w.test.role == "apparatus"}
         return CONSTRUCTION if built == {HOLDS} else UNDECIDED
-    if not rows:
+    if not (rows := [w for w in weighed if w.test.role == "claim"]):
         return OPEN
     rows = [w for w in rows if w.says in DECIDES]
     says = {w.says for w in rows}
     carried = [w.says for w in rows if not claim.carriers or w.test.name in claim.carriers]
     if HOLDS not in carried and 2 * carried.count(FAILS) > len(carried):
         return REFUTED
-    if says == {HOLDS}:
-        return CONFIRMED
-    return CONDITION if {HOLDS, FAILS} <= says else UNDECIDED
+    return CONFIRMED if says == {HOLDS} else CONDITION if {HOLDS, FAILS} <= says else UNDECIDED
 
 
 # --------------------------------------------------------------------------------------------------------- in words
@@ -94,13 +85,10 @@ def verdict(claim: Claim, found: Iterable[Finding]) -> str:
 class _Measured:
     """The findings of one test as an answer may name them: {sits.value:.0%}, {sits[recordings].low:.2f}."""
 
-    rows: tuple[Finding, ...]
+    rows: Sequence[Finding]
 
     def __getitem__(self, source: str) -> _Measured:
-        rows = tuple(f for f in self.rows if f.source == source)
-        if not rows:
-            raise KeyError(f"source {source}")
-        return _Measured(rows)
+        return _Measured([f for f in self.rows if f.source == source])
 
     def __getattr__(self, name: str) -> float:
         if len(self.rows) != 1:
@@ -119,7 +107,7 @@ def answer(claim: Claim, found: Sequence[Finding]) -> str:
     Raises:
         DataError: it names a number that no finding holds, or has one written in that is not the thesis's own.
     """
-    named = {test.name: tuple(f for f in found if f.test == test.id) for test in claim.tests}
+    named = {test.name: [f for f in found if f.test == test.id] for test in claim.tests}
     place = f"answer of {claim.id}"
     typed = _NUMBERS.findall(re.sub(r"\{[^}]*\}|\b\dD\b|\bstage \d", "", claim.answer))
     if foreign := sorted(set(typed) - set(_NUMBERS.findall(f"{claim.thesis} {claim.title}"))):
@@ -133,7 +121,7 @@ def answer(claim: Claim, found: Sequence[Finding]) -> str:
 def found_answer(claim: Claim, found: Sequence[Finding]) -> str:
     """Returns a claim's answer; of a run that did not measure all that it names, a sentence that says so."""
     try:
-        return answer(claim, found) if any(f.claim == claim.id for f in found) else ""
+        return answer(claim, found) if weigh(claim, found) else ""
     except DataError:
         return "This run did not measure all that the answer names."
 
@@ -160,6 +148,6 @@ def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding]) -> list[di
     """Returns one row per claim: id, title, verdict (also in full), answer, the notebook that shows it."""
     return [
         {"claim": c.id, "in short": c.title, "verdict": verdict(c, found), "in full": spoken(c, found),
-         "answer": answer(c, found) if any(f.claim == c.id for f in found) else "", "notebook": c.notebook}
+         "answer": answer(c, found) if weigh(c, found) else "", "notebook": c.notebook}
         for c in claims.values()
     ]  # fmt: skip

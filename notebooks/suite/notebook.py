@@ -13,7 +13,6 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -81,6 +80,7 @@ class Lab:
     found: list[Finding] = field(default_factory=list)
     marks: staleness.Fingerprint = field(default_factory=dict)
     opened: float = field(default_factory=time.perf_counter)
+    bench: tempfile.TemporaryDirectory = field(default_factory=lambda: tempfile.TemporaryDirectory(prefix="motionlab-"))
 
     @property
     def number(self) -> str:
@@ -115,30 +115,20 @@ class Lab:
         display(Markdown(markdown))
 
     def figure(self, picture: object, number: str, caption: str) -> None:
-        """Shows a picture with its caption below.
-
-        picture: a matplotlib Figure, an RGB array (H, W, 3), a PIL image, a film, or the path of a PNG.
-        """
+        """Shows a matplotlib Figure, an RGB array (H, W, 3) or a film, with its caption below."""
         if isinstance(picture, Figure):
             display(Image(_png(picture.savefig, dpi=110, bbox_inches="tight")))
             plt.close(picture)
-        elif isinstance(picture, np.ndarray | Pillow.Image):
-            still = Pillow.fromarray(picture) if isinstance(picture, np.ndarray) else picture
-            small = still.convert("RGB").quantize(256, dither=Pillow.Dither.NONE)  # a third of the bytes
+        elif isinstance(picture, np.ndarray):
+            small = Pillow.fromarray(picture).quantize(256, dither=Pillow.Dither.NONE)  # a third of the bytes
             display(Image(_png(small.save, optimize=True)))
-        elif hasattr(picture, "_repr_html_"):
-            display(HTML(picture._repr_html_()))  # nbconvert drops image/gif from its report; an <img> stays
         else:
-            display(Image(filename=str(picture)))
+            display(HTML(picture._repr_html_()))
         self.say(f"**Figure {number}.** {caption}")
-
-    @cached_property
-    def _workbench(self) -> tempfile.TemporaryDirectory:
-        return tempfile.TemporaryDirectory(prefix="motionlab-")
 
     def scratch(self, name: str) -> Path:
         """Returns a path for a film or file of this run in a folder that is deleted afterwards."""
-        return Path(self._workbench.name) / name
+        return Path(self.bench.name) / name
 
     def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
         """Shows rows (all with the same keys) as a Markdown table; floats with three digits."""
@@ -195,25 +185,22 @@ class Lab:
         """
         rule = self.criterion(test)
         samples = torch.as_tensor(samples, dtype=torch.float64).flatten()
-        value = low = high = float("nan")
-        if samples.numel():
+        value, low, high = (float("nan"),) * 3
+        if n := samples.numel():
             value, low, high = interval(samples, statistic, self.generator(f"{test}/{source}"))
         if baseline is not None:
             baseline = torch.as_tensor(baseline, dtype=torch.float64).flatten()
             generator = self.generator(f"{test}/{source}/baseline")
             baseline = interval(baseline, statistic, generator)[0] if baseline.numel() else None
-        n, bound, verdict = samples.numel(), rule.bound_text(), findings.judge(rule, low, high, samples.numel())
+        said = rule.unit, statistic, rule.bound_text(), findings.judge(rule, low, high, n)
         where = self.notebook, self.profile, rule.baseline, baseline, note
-        finding = Finding(test, source, value, low, high, n, rule.unit, statistic, bound, verdict, *where)
+        finding = Finding(test, source, value, low, high, n, *said, *where)
         self.found = [f for f in self.found if (f.test, f.source) != (test, source)] + [finding]
         return finding
 
     def fingerprint(self, name: str, value: Tensor | float, *, tolerance: float = staleness.TOLERANCE) -> None:
-        """Records a number that no claim asks for, but that the smoke run must give again.
-
-        Args:
-            tolerance: share of the number that another machine may be off.
-        """
+        """Records a number that no claim asks for, but that the smoke run must give again. tolerance: share of it that
+        another machine may be off."""
         self.marks[name] = staleness.mark(float(value), tolerance=tolerance)
 
     def _fingerprint(self) -> staleness.Fingerprint:
@@ -242,16 +229,15 @@ class Lab:
     def settled(self) -> list[Finding]:
         """Returns this run's findings, with the recorded ones where this run may not judge.
 
-        A test that needs the full profile or real recordings repeats what the last full run recorded, so that
-        the verdicts read the same on every machine. A full run writes a new record and takes over old rows only
-        where the notebook's code is still the code that measured them.
+        A test that needs the full profile or real recordings repeats what the last full run recorded, so that verdicts
+        read the same on every machine. A full run takes over old rows only where the notebook's code is still theirs.
         """
         record = self._record()
         recorded = {(f.test, f.source): f for f in record.findings}
         fresh = {(f.test, f.source): f for f in self.found}
         away = {k: r for k, r in recorded.items() if self.data is None and k not in fresh and r.source != "synthetic"}
         if self.profile == "full":
-            return list(((away if record.source_hash == self._code() else {}) | fresh).values())
+            return [*(away if record.source_hash == self._code() else {}).values(), *fresh.values()]
         slow = {k: r for k, r in recorded.items() if "full" in self.criterion(r.test).needs}
         return [value for key, value in (recorded | fresh | slow).items() if key in fresh | away | slow]
 
@@ -264,12 +250,13 @@ class Lab:
 
     def findings(self, *, fold: bool = False) -> None:
         """Shows every number measured in this run; fold: behind a click."""
-        heads = ("test", "source", f"measured (95 % interval), {self.profile}", "bound", "baseline", "note")
-        rows = []
-        for f in self.found:
-            base = "" if f.baseline_value is None else f"{f.baseline}: {f.baseline_value:.3g} {f.unit}"
-            row = (f.test, f.source, f"{f.statistic} {f.value_text()}", f.bound, base, f.note)
-            rows.append(dict(zip(heads, row, strict=True)))
+        rows = [
+            {"test": f.test, "source": f.source,
+             f"measured (95 % interval), {self.profile}": f"{f.statistic} {f.value_text()}", "bound": f.bound,
+             "baseline": "" if f.baseline_value is None else f"{f.baseline}: {f.baseline_value:.3g} {f.unit}",
+             "note": f.note}
+            for f in self.found
+        ]  # fmt: skip
         self.fold("Every number measured in this run", rows) if fold else self.table(rows)
 
     def verdicts(self, *, fold: bool = False) -> None:
@@ -295,15 +282,12 @@ class Lab:
             StaleRecord: a smoke run differs from its fingerprint, and $MOTIONLAB_VERIFY is set.
         """
         seconds, worked = time.perf_counter() - self.opened, sum(os.times()[:4])  # with what it waited for
-        folder = os.environ.get("MOTIONLAB_RESULTS")
-        if not folder and self.profile == "full" and os.environ.get("MOTIONLAB_RECORD"):
-            folder = self.folder / "results"
-        if folder:
+        folder = self.folder / "results" if self.profile == "full" and os.environ.get("MOTIONLAB_RECORD") else None
+        if folder := os.environ.get("MOTIONLAB_RESULTS") or folder:
             findings.save_record(Path(folder) / f"{self.number}.json", self._measured(seconds, worked))
-        moved = self.stale()
-        if moved and os.environ.get("MOTIONLAB_VERIFY"):
-            raise staleness.StaleRecord(self.notebook, moved, self._record().seconds)
-        if moved:
+        if moved := self.stale():
+            if os.environ.get("MOTIONLAB_VERIFY"):
+                raise staleness.StaleRecord(self.notebook, moved, self._record().seconds)
             self.say("**The record is not what this code gives** (or a knob was turned): " + "; ".join(moved) + ".")
         self.say(f"Ran in {seconds:.0f} s, {worked:.0f} s of processor time; {len(self.found)} findings.")
 

@@ -39,11 +39,6 @@ class Picture:
         return self.file.endswith(".mp4")
 
     @property
-    def moves(self) -> bool:
-        """It is a video or an animated picture."""
-        return self.file.endswith((".mp4", ".gif"))
-
-    @property
     def alt(self) -> str:
         """What it shows, in the first sentence of its caption."""
         return re.sub(r"[*`$]", "", _SENTENCE.split(self.caption.strip())[0])
@@ -70,8 +65,8 @@ class Page:
 
     @property
     def picture(self) -> Picture | None:
-        """The one for its card: the first that moves, else the first."""
-        return next((each for each in self.pictures if each.moves), next(iter(self.pictures), None))
+        """The one for its card: the first film, else the first."""
+        return next(iter(sorted(self.pictures, key=lambda each: not each.film)), None)
 
 
 def read(notebook: Path, out: Path) -> Page:
@@ -129,9 +124,6 @@ class _Renderer(IPythonRenderer):
     def inline_math(self, body: str) -> str:
         return _formula(body, "inline")
 
-    def latex_environment(self, name: str, body: str) -> str:
-        return self.block_math(rf"\begin{{{name}}}{body}\end{{{name}}}")
-
     def table(self, text: str) -> str:
         return f"<div class='wide' tabindex='0'><table>{text}</table></div>\n"
 
@@ -164,10 +156,8 @@ def _begin(text: str) -> str:
     """The first sentence; where it is short, with those after it."""
     said = ""
     for sentence in _SENTENCE.split(text):
-        if len(said) >= _SHORT:
-            break
-        said = f"{said} {sentence}".strip()
-    return said
+        said += f" {sentence}" if len(said) <= _SHORT else ""
+    return said.strip()
 
 
 # ------------------------------------------------------------------------------------------------------------- outputs

@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -44,8 +45,7 @@ _VERDICTS = {
 
 
 class Check(NamedTuple):
-    """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details; and how many
-    findings agree with the record."""
+    """What today's run says of a notebook: "good", "bad" or "" (nothing), a sentence; how many findings agree."""
 
     mark: str
     said: str
@@ -68,11 +68,6 @@ class Entry:
         real = self.record.fingerprint_on_recordings or any(map(ledger.is_real, self.record.findings))
         return "synthetic motion and recordings" if real else "synthetic motion alone"
 
-    @property
-    def duration(self) -> str:
-        """How long its full run took; empty where nobody knows."""
-        return "" if self.record.seconds is None else staleness.duration(self.record.seconds)
-
 
 def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: bool = True) -> list[Run]:
     """Runs notebooks side by side, even where some fail, into ``out``/today, and writes the pages.
@@ -80,15 +75,13 @@ def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: boo
     The committed results stay as they are. Interrupting writes the pages with what has run, then raises
     KeyboardInterrupt. run: False where nothing is to be run; the pages say so.
     """
-    paths = execute.find_notebooks(names)
-    today = out / "today"
+    paths, today, ran = execute.find_notebooks(names), out / "today", []
     shutil.rmtree(today, ignore_errors=True)
-    ran: list[Run] = []
+    today.mkdir(parents=True)
     environment = {"MOTIONLAB_PROFILE": profile, "MOTIONLAB_BATCH": "1"} | execute.data_variable()
+    environment |= {"MOTIONLAB_RESULTS": str((today / "results").resolve())}
     try:
         if run:
-            today.mkdir(parents=True)
-            environment |= {"MOTIONLAB_RESULTS": str((today / "results").resolve())}
             execute.run_side_by_side([(path, today / path.name) for path in paths], environment, done=ran.append)
     finally:
         for entry in build(out, ran, full=profile == "full"):
@@ -151,17 +144,14 @@ def _write(out: Path, entries: Sequence[Entry], verdicts: Mapping[Claim, str], f
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"measured": _measured, "answer": lambda claim: ledger.found_answer(claim, found)}
+    environment.filters |= {"measured": _measured, "duration": staleness.duration}
+    parts = groupby(entries, lambda entry: [part for number, part in PARTS.items() if number <= entry.page.number][-1])
     films = [picture for entry in entries for picture in entry.page.pictures if picture.film]
-    parts: dict[str, list[Entry]] = {}
-    for entry in entries:
-        head = [title for number, title in PARTS.items() if number <= entry.page.number][-1]
-        parts.setdefault(head, []).append(entry)
-    film = next((film for film in films if film.caption.startswith(FILM)), next(iter(films), None))
     environment.globals |= {
-        "entries": entries, "parts": parts, "claims": verdicts, "verdicts": _VERDICTS, "findings": found, "film": film,
+        "entries": entries, "parts": {title: list(some) for title, some in parts}, "claims": verdicts,
+        "verdicts": _VERDICTS, "findings": found, "ledger": ledger,
+        "film": max(films, key=lambda film: film.caption.startswith(FILM), default=None),
         "pages": {entry.page.number: f"{entry.page.name}.html" for entry in entries},
-        "spoken": {claim.id: ledger.spoken(claim, found) for claim in verdicts},
         "points": next((entry.page.points for entry in reversed(entries) if entry.page.points), ()),
         "checks": Counter(entry.check.mark for entry in entries), "day": time.strftime("%Y-%m-%d"),
     }  # fmt: skip

@@ -12,6 +12,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,13 +20,10 @@ from motionlab.errors import DataError
 
 #: Share of a number, or of the bound it is judged by, that it may differ by without anything having changed.
 TOLERANCE = 1e-3
-#: What is smaller is rounding, such as the distance of two implementations of one formula.
-ROUNDING = 1e-6
+ROUNDING = 1e-6  # what is smaller is rounding, such as the distance of two implementations of one formula
 #: Runs of one notebook under other arithmetic may differ by this share; a number that differs more is no fingerprint:
-#: where rounding is amplified so much, anything may come out.
-STEADY = 0.03
-#: How many times the spread between such runs is allowed.
-SLACK = 5.0
+#: where rounding is amplified so much, anything may come out. Then: how many times the spread of such runs is allowed.
+STEADY, SLACK = 0.03, 5.0
 
 
 class Mark(NamedTuple):
@@ -56,7 +54,6 @@ class StaleRecord(DataError):
     """A record that its code no longer gives; ``moved`` says in what."""
 
     def __init__(self, notebook: str, moved: Sequence[str], seconds: float | None = None) -> None:
-        self.moved = tuple(moved)
         took = "" if seconds is None else f" ({duration(seconds)} when last run)"
         remedy = f"make full NOTEBOOKS={number_of(notebook)}{took}"
         super().__init__("stale: " + "; ".join(moved), place=f"record of {notebook}", remedy=remedy)
@@ -96,11 +93,8 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
 def differences(recorded: Fingerprint, now: Fingerprint) -> list[str]:
     """Lists how a run differs from its record, a phrase each; empty where nothing moved."""
     gone = [f"{name} is not measured any more" for name in recorded if name not in now]
-    both = {name: (was, now[name]) for name, was in recorded.items() if name in now and not was.agrees(now[name])}
-    return gone + [
-        f"{name} was {was}, is {found} (may differ by {max(was.within, found.within):.1g})"
-        for name, (was, found) in both.items()
-    ]
+    both = [(name, was, now[name]) for name, was in recorded.items() if name in now and not was.agrees(now[name])]
+    return gone + [f"{n} was {was}, is {x} (may differ by {max(was.within, x.within):.1g})" for n, was, x in both]
 
 
 # ------------------------------------------------------------------------------------------------------ code and files
@@ -112,14 +106,11 @@ def code_hash(notebook: Path | str) -> str:
 
 
 def _without_imports(code: str) -> str:
-    try:
-        body = ast.parse(code).body
-    except SyntaxError:  # a magic
-        return code
     lines = code.splitlines()
-    for node in body:
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
+    with suppress(SyntaxError):  # a magic
+        for node in ast.parse(code).body:
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                lines[node.lineno - 1 : node.end_lineno] = [""] * (node.end_lineno - node.lineno + 1)
     return "\n".join(line for line in lines if line.strip())
 
 

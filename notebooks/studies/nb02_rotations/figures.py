@@ -4,7 +4,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -24,12 +23,6 @@ ROLE_OF = {
 _DASHES = {"x": "-", "y": "--", "z": ":"}
 
 
-def _shade_gap(ax: Axes, frames: int, gap: int) -> None:
-    first = (frames - gap) // 2
-    ax.axvspan((first - 0.5) / FPS, (first + gap - 0.5) / FPS, color=LINE, alpha=0.35, lw=0)
-    ax.text((first + gap / 2 - 0.5) / FPS, 1.01, "hidden", transform=ax.get_xaxis_transform(), ha="center", fontsize=9)
-
-
 def one_gap(truth: Tensor, thetas: Mapping[Representation, Tensor], gap: int) -> Figure:
     """Draws how far the body has turned, true (T, 3, 3) and filled (T, P), and the axis-angle vector that did it."""
     fig, axes = canvas(1, 2, size=(11.0, 3.6))
@@ -46,8 +39,10 @@ def one_gap(truth: Tensor, thetas: Mapping[Representation, Tensor], gap: int) ->
             axes[1].plot(time, vector[:, i], ls=_DASHES[part], lw=1.6, color=ROLE[role], label=name)
     axes[0].set(xlabel="time, s", ylabel="degrees turned so far")
     axes[1].set(xlabel="time, s", ylabel="rotation vector, rad")
+    first = (len(truth) - gap) // 2 - 0.5
     for ax, columns in zip(axes, (3, 2), strict=True):
-        _shade_gap(ax, len(truth), gap)
+        ax.axvspan(first / FPS, (first + gap) / FPS, color=LINE, alpha=0.35, lw=0)
+        ax.text((first + gap / 2) / FPS, 1.01, "hidden", transform=ax.get_xaxis_transform(), ha="center", fontsize=9)
         ax.legend(ncol=columns, loc="upper center", bbox_to_anchor=(0.5, -0.17), frameon=False)
     return fig
 
@@ -72,13 +67,11 @@ def excess(gaps: Mapping[str, Gaps], filled: Mapping[tuple[str, str], Tensor]) -
     names = list(dict.fromkeys(name for _, name in filled))
     fig, axes = canvas(1, 2, size=(11.5, 3.5), sharex=True, sharey=True)
     for ax, across, title in zip(axes, (True, False), ("gaps across the cut", "all other gaps"), strict=True):
-        count = 0
+        count = sum(int((g.crossing == across).sum()) for g in gaps.values())
+        jitter = np.random.default_rng(0).uniform(-0.28, 0.28, count)
         for row, name in enumerate(names):
             found = [rep.excess_rotation(filled[s, name], g.gap)[g.crossing == across] for s, g in gaps.items()]
-            values = torch.cat(found)
-            count = len(values)
-            jitter = np.random.default_rng(0).uniform(-0.28, 0.28, count)
-            ax.scatter(values, row + jitter, s=9, alpha=0.35, lw=0, color=ROLE[ROLE_OF[name]])
+            ax.scatter(torch.cat(found), row + jitter, s=9, alpha=0.35, lw=0, color=ROLE[ROLE_OF[name]])
         ax.axvspan(180, 400, color=ROLE["axis-angle"], alpha=0.06, lw=0)
         ax.axvline(360, color=INK, lw=0.8, ls=":")
         ax.set(xlabel="degrees beyond the shortest way (one dot: one gap)", xlim=(-15, 400))
@@ -111,7 +104,7 @@ def carried_and_decoded(root: Tensor) -> Figure:
             axes[0].plot(time, vector[:, i], label=f"{name} {part}", **style)
     axes[0].set_ylabel("rotation vector, rad")
     axes[0].legend(ncol=6, loc="lower left", bbox_to_anchor=(0, 1.0), frameon=False)
-    off = rep.midpoint_error(rep.AXIS_ANGLE, carried, decoded, root)
+    off = rep.off_by(rep.AXIS_ANGLE, (carried + decoded) / 2, root)
     axes[1].fill_between(time, off, color=ROLE["axis-angle"], alpha=0.7, lw=0)
     axes[1].set(xlabel="time, s", ylabel="their average\nis off by, degrees", ylim=(0, 190), yticks=(0, 90, 180))
     return fig
@@ -121,11 +114,10 @@ def consistency(outcome: Mapping[str, Consistency]) -> Figure:
     """Draws the worst error of every clip after the consistency fit, sorted, per arm and kind of clip."""
     fig, axes = canvas(1, 2, size=(11.0, 3.8), sharey=True)
     for ax, flipped, title in zip(axes, (True, False), ("clips with a flip", "all other clips"), strict=True):
-        count = 0
+        count = sum(int((o.flipped == flipped).sum()) for o in outcome.values())
+        share = torch.linspace(0, 100, max(count, 1))[:count]
         for name in ARMS:
             values = torch.cat([o.worst_deg[name][o.flipped == flipped] for o in outcome.values()]).sort().values
-            count = len(values)
-            share = torch.linspace(0, 100, max(count, 1))[:count]
             dash = {"axis-angle, nearest vector": (0, (4, 2))}.get(name, "-")
             ax.plot(share, values, lw=2.2, color=ROLE[ROLE_OF[name]], ls=dash, label=name)
         ax.set(xlabel="clips, sorted, %", yscale="log", ylim=(1, 220))

@@ -27,7 +27,7 @@ def roots(
     """Loads root rotations (T, 3, 3) at 30 fps by person; empty without a folder.
 
     A source whose people are not known counts as one person. Falls and floor work come as joint positions: their
-    pelvis is turned by its hips and the line to the neck.
+    pelvis's left is along the hips, and its up towards the neck.
 
     Args:
         each: at most so many recordings of a person, evenly over them. people: at most so many people.
@@ -48,20 +48,10 @@ def roots(
 @lru_cache(maxsize=4096)
 def _root(path: Path, load) -> Tensor:
     found = load(path)
-    if isinstance(found, Positions):
-        return _thirty(pelvis_rotation(found), found.fps)
-    return resample(retarget(found).motion, FPS).rot[:, 0]
-
-
-def pelvis_rotation(positions: Positions) -> Tensor:
-    """Computes the orientation (T, 3, 3) of the pelvis from hips and neck: left along the hips, up towards the neck."""
-    left, right, neck = positions.select(_TRUNK).positions.unbind(1)
-    across, up = left - right, neck - (left + right) / 2
-    return rotation.sixd_to_matrix(torch.cat((across, up), dim=-1))
-
-
-def _thirty(path: Tensor, fps: float) -> Tensor:
-    """A path of rotations at 30 frames per second, by slerp."""
-    at = torch.arange(int((len(path) - 1) / fps * FPS) + 1) * (fps / FPS)
-    low = at.floor().long().clamp(max=len(path) - 2)
-    return rotation.slerp(path[low], path[low + 1], (at - low).to(path))
+    if not isinstance(found, Positions):
+        return resample(retarget(found).motion, FPS).rot[:, 0]
+    left, right, neck = found.select(_TRUNK).positions.unbind(1)
+    turns = rotation.sixd_to_matrix(torch.cat((left - right, neck - (left + right) / 2), dim=-1))
+    at = torch.arange(int((len(turns) - 1) / found.fps * FPS) + 1) * (found.fps / FPS)  # at 30 frames per second
+    low = at.floor().long().clamp(max=len(turns) - 2)
+    return rotation.slerp(turns[low], turns[low + 1], (at - low).to(turns))

@@ -32,11 +32,8 @@ class Representation:
 
 AXIS_ANGLE = Representation("axis-angle", rotation.matrix_to_axis_angle, rotation.axis_angle_to_matrix)
 #: Axis-angle whose branch is made continuous along time (the frame axis, second from the right) beforehand.
-UNROLLED = replace(
-    AXIS_ANGLE,
-    name="axis-angle, unrolled",
-    encode=lambda r: rotation.unroll_axis_angle(rotation.matrix_to_axis_angle(r)),
-)
+UNROLLED = replace(AXIS_ANGLE, name="axis-angle, unrolled",
+                   encode=lambda r: rotation.unroll_axis_angle(rotation.matrix_to_axis_angle(r)))  # fmt: skip
 QUATERNION = Representation(
     "quaternion, w ≥ 0", rotation.matrix_to_quaternion, rotation.quaternion_to_matrix,
     tidy=lambda q: torch.nn.functional.normalize(q, dim=-1),
@@ -78,12 +75,6 @@ def across_gap(path: Tensor, gap: int) -> Tensor:
     return path[..., first - 1 : first + gap + 1, :, :]
 
 
-def crosses_branch(path: Tensor, gap: int) -> Tensor:
-    """Tells where (...) the principal rotation vector changes branch inside the gap of paths (..., T, 3, 3)."""
-    vectors = rotation.matrix_to_axis_angle(across_gap(path, gap))
-    return (vectors.diff(dim=-2).norm(dim=-1) > math.pi).any(-1)
-
-
 def turned(path: Tensor) -> Tensor:
     """Computes degrees turned across a path (..., T, 3, 3), along it, from frame to frame."""
     return torch.rad2deg(rotation.geodesic(path[..., :-1, :, :], path[..., 1:, :, :]).sum(-1))
@@ -123,6 +114,6 @@ def flipped(first: Tensor, second: Tensor) -> Tensor:
     return (first - second).norm(dim=-1) > math.pi
 
 
-def midpoint_error(representation: Representation, first: Tensor, second: Tensor, truth: Tensor) -> Tensor:
-    """Computes degrees (...) from the truth (..., 3, 3) after averaging two parameter vectors of it (..., P)."""
-    return torch.rad2deg(rotation.geodesic(representation.decode((first + second) / 2), truth))
+def off_by(how: Representation, theta: Tensor, truth: Tensor) -> Tensor:
+    """Computes degrees (...) between the rotation of parameters (..., P) and the true one (..., 3, 3)."""
+    return torch.rad2deg(rotation.geodesic(how.decode(theta).to(truth), truth))

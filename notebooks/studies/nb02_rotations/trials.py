@@ -19,7 +19,7 @@ from motionlab.bench.person_windows import by_person
 from motionlab.motion import FPS, Motion, resample
 from motionlab.skeleton import UPRIGHT
 from studies.nb02_rotations import representations as rep
-from studies.nb02_rotations.representations import AXIS_ANGLE, SIXD, UNROLLED, Representation
+from studies.nb02_rotations.representations import AXIS_ANGLE, SIXD, UNROLLED
 
 People = Mapping[str, Sequence[Tensor]]
 
@@ -135,7 +135,8 @@ def lively_gaps(
     order = order[turn[order] >= least_deg]
     mine = [order[whose[order] == i][:each] for i in range(len(people))]
     kept = torch.cat(mine) if mine else order
-    return Gaps(path[kept].double(), whose[kept], rep.crosses_branch(path[kept], gap), gap)
+    vectors = rotation.matrix_to_axis_angle(middle[kept])
+    return Gaps(path[kept].double(), whose[kept], (vectors.diff(dim=-2).norm(dim=-1) > math.pi).any(-1), gap)
 
 
 def turned_round(gaps: Gaps) -> Tensor:
@@ -183,8 +184,8 @@ def count_flips(people: People, generator: torch.Generator) -> Flips:
             apart = torch.stack((mask, (six[0] - six[1]).norm(dim=-1) > 0.01))
             found = (apart[:, 1:] != apart[:, :-1]).sum(1)
             changes, minutes = changes + found, minutes + len(root) / FPS / 60
-            errors = (rep.midpoint_error(AXIS_ANGLE, carried, decoded, root), rep.midpoint_error(SIXD, *six, root))
-            off.append(torch.stack(errors)[:, mask])
+            errors = (rep.off_by(h, sum(x) / 2, root) for h, x in ((AXIS_ANGLE, (carried, decoded)), (SIXD, six)))
+            off.append(torch.stack([*errors])[:, mask])
             most = max(most, (int(found[0]), root), key=lambda pair: pair[0])
         rates.append(changes / minutes)
         flipped = torch.cat(off, dim=1)
@@ -199,9 +200,8 @@ def count_flips(people: People, generator: torch.Generator) -> Flips:
 class Consistency:
     """Outcome of the consistency fit on 2 s clips.
 
-    worst_deg: arm -> (N,) largest error of a clip in degrees. flipped (N,): where its two vectors, the
-    decoder's error included, disagree somewhere.
-    whose (N,): the person.
+    worst_deg: arm -> (N,) largest error of a clip in degrees. flipped (N,): where its two vectors, the decoder's error
+    included, disagree somewhere. whose (N,): the person.
     """
 
     worst_deg: dict[str, Tensor]
@@ -242,10 +242,5 @@ def compare_consistency(
         start, target = carried, rep.nearest_vector(decoded, carried) if nearest else decoded
         if how is SIXD:
             start, target = (how.encode(rotation.axis_angle_to_matrix(v)) for v in (carried, decoded))
-        worst[name] = off_by(how, fit(start, target), path).amax(-1)
+        worst[name] = rep.off_by(how, fit(start, target), path).amax(-1)
     return Consistency(worst, rep.flipped(carried, decoded).any(-1), whose)
-
-
-def off_by(how: Representation, theta: Tensor, truth: Tensor) -> Tensor:
-    """Computes degrees (...) between the rotation of parameters (..., P) and the true one (..., 3, 3)."""
-    return torch.rad2deg(rotation.geodesic(how.decode(theta).to(truth), truth))

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -57,18 +56,16 @@ def trade(rows: Sequence[Mapping[str, float]]) -> Figure:
     rows as of :func:`studies.nb03_skinning.pruning.sweep`.
     """
     fig, axes = canvas(1, 3, size=(11.5, 3.3), sharex=True)
-    at = [row["threshold"] for row in rows]
-
-    def line(ax: Axes, key: str, times: float, look: str, colour: str, label: str) -> None:
+    for ax, key, times, look, colour, label in (
+        (axes[0], "leak", 1, "o-", _LEAK, ""), (axes[1], "left", 100, "o-", _LEAK, ""),
+        (axes[2], "max_mm", 1, "o-", _LEAK, "planted, worst vertex"),
+        (axes[2], "clean_max_mm", 1, "s-", _KEPT, "anny itself, worst vertex"),
+        (axes[2], "clean_mean_mm", 1, "s:", _KEPT, "anny itself, mean"),
+    ):  # fmt: skip
+        at = [row["threshold"] for row in rows]
         ax.plot(at, [times * row[key] for row in rows], look, color=colour, label=label, ms=4.5)
-
-    line(axes[0], "leak", 1, "o-", _LEAK, "")
     axes[0].set(title="leak from the face to the legs", ylabel="% of the gradient's norm", ylim=(0, None))
-    line(axes[1], "left", 100, "o-", _LEAK, "")
     axes[1].set(title="planted entries that are left", ylabel="%", ylim=(0, 104))
-    line(axes[2], "max_mm", 1, "o-", _LEAK, "planted, worst vertex")
-    line(axes[2], "clean_max_mm", 1, "s-", _KEPT, "anny itself, worst vertex")
-    line(axes[2], "clean_mean_mm", 1, "s:", _KEPT, "anny itself, mean")
     axes[2].set(title="skin moved by pruning", ylabel="mm", yscale="log", ylim=(1e-4, 1e5))
     axes[2].legend(loc="upper left")
     for ax in axes:

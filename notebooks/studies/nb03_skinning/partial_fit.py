@@ -7,6 +7,7 @@ skinning weights that should not be there. The energy is written in the notebook
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -65,7 +66,11 @@ def case(body: BodyModel, truth: Motion) -> Case:
     arm, legs = body.skeleton.indices(ARM), body.skeleton.indices(LEGS)
     face = [body.keypoint_vertices[name] for name in FACE]
     camera = _facing(truth.root.flatten(0, -2)[0], truth.rot.flatten(0, -4)[0, 0])
-    observed = project(camera, _rigid_arm_and_face(body, truth, arm, face))[0]
+    positions, world = fk(body.skeleton, truth.root, truth.rot)
+    head = body.skeleton.index("head")
+    rigid = (body.template[face] - body.joints[head]) @ (world[..., head, :, :] @ body.bind_rot[head].mT).mT
+    seen = torch.cat((positions[..., arm, :], rigid + positions[..., head, None, :]), dim=-2)
+    observed = project(camera, seen)[0]
     return Case(body, camera, arm, face, legs, observed, theta, truth.root.clone(), truth.fps)
 
 
@@ -76,8 +81,7 @@ def gradient(case: Case, energy: Energy) -> tuple[float, float]:
     return theta.grad.norm().item(), theta.grad[..., case.legs, :].norm().item()
 
 
-@dataclass(frozen=True, eq=False)
-class PartialFit:
+class PartialFit(NamedTuple):
     """What a fit to the arm and the face did.
 
     moved: the fitted motions (..., T). legs_mm: by budget in closures, how far a leg joint had moved at most in the
@@ -158,14 +162,6 @@ def _facing(root: Tensor, orientation: Tensor) -> Camera:
     chest = root + torch.tensor([0.0, 0.0, 0.3])
     eye = chest + 3.5 * torch.cat((forward, torch.zeros(1)))
     return look_at(eye, chest, focal=1000.0, width=1280, height=960)
-
-
-def _rigid_arm_and_face(body: BodyModel, motion: Motion, arm: list[int], face: list[int]) -> Tensor:
-    positions, world = fk(body.skeleton, motion.root, motion.rot)
-    head = body.skeleton.index("head")
-    local = body.template[face] - body.joints[head]
-    turn = world[..., head, :, :] @ body.bind_rot[head].mT
-    return torch.cat((positions[..., arm, :], local @ turn.mT + positions[..., head, None, :]), dim=-2)
 
 
 def _legs_in_pelvis(case: Case, theta: Tensor) -> Tensor:

@@ -15,12 +15,6 @@ from motionlab.viz.scene import Scene
 from studies.nb03_skinning.partial_fit import LEGS, leak_percent
 
 
-def moved_mm(body: BodyModel, other: BodyModel, pose: Motion) -> Tensor:
-    """Computes how far each vertex of two bodies is apart in one pose (1 frame): (V,), mm."""
-    places = [lbs(b, pose.skeleton, pose.root, pose.rot)[0] for b in (body, other)]
-    return 1000 * torch.linalg.vector_norm(places[0] - places[1], dim=-1)
-
-
 def moved_by_mm(body: BodyModel, pose: Motion, names: Sequence[str]) -> Tensor:
     """Computes how far each vertex moves per radian of some joints, in one pose (1 frame): (V,), mm per radian."""
     return 1000 * _levers(body, pose)[:, body.skeleton.indices(names)].norm(dim=-1)
@@ -58,15 +52,14 @@ def skin(body: BodyModel, pose: Motion, threshold: float, size: tuple[int, int] 
         (H, W, 3) uint8, two panels, millimetres per radian and millimetres.
     """
     pruned = skinning.prune(body, threshold)
-    leaks, moved = leaked_mm(pruned, pose), moved_mm(pruned, body, pose)
+    before, after = (lbs(b, pose.skeleton, pose.root, pose.rot)[0] for b in (body, pruned))
+    leaks, moved = leaked_mm(pruned, pose), 1000 * torch.linalg.vector_norm(after - before, dim=-1)
     with Scene(size, panels=("gradient that still leaks", "skin moved by pruning")) as scene:
         for panel, (field, unit) in enumerate(((leaks, "mm per rad"), (moved, "mm"))):
             look = {"title": unit, "limits": (0.0, 5.0), "cmap": "Oranges" if panel == 0 else "Blues"}
             scene.body(pruned, pose, field=field, frame=0, panel=panel, **look)
-        words = (
-            f"below {threshold:.1e} pruned: {int((leaks > 0).sum())} vertices leak, moved {moved.max():.1f} mm at most"
-        )
-        scene.caption()(words)
+        leaky = int((leaks > 0).sum())
+        scene.caption()(f"below {threshold:.1e} pruned: {leaky} vertices leak, moved {moved.max():.1f} mm at most")
         return scene.floor().image()
 
 
@@ -106,14 +99,10 @@ def sweep(
     for threshold in thresholds:
         pruned = skinning.prune(body, threshold)
         clean_mean, clean_most = skinning.displacement(clean, skinning.prune(clean, threshold), motion)
-        rows.append(
-            {
-                "threshold": threshold,
-                "leak": leak_percent(pruned, motion.cut(0, 1)),
-                "left": float((pruned.weights[planted] > 0).double().mean()),
-                "max_mm": 1000 * skinning.displacement(body, pruned, motion)[1],
-                "clean_mean_mm": 1000 * clean_mean,
-                "clean_max_mm": 1000 * clean_most,
-            }
-        )
+        rows.append({
+            "threshold": threshold, "leak": leak_percent(pruned, motion.cut(0, 1)),
+            "left": float((pruned.weights[planted] > 0).double().mean()),
+            "max_mm": 1000 * skinning.displacement(body, pruned, motion)[1],
+            "clean_mean_mm": 1000 * clean_mean, "clean_max_mm": 1000 * clean_most,
+        })  # fmt: skip
     return rows

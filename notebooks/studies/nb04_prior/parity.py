@@ -232,12 +232,6 @@ def _frames(golden: Golden) -> Iterator[Row]:
     yield _row(golden, "canon_back_*", "lean", _with_joints_at(state.globalise(local, frame), -c))
 
 
-def _official_apply(past: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
-    """``state.apply`` by the official formulas."""
-    after, contacts = official_rollout._apply(official_rollout.split(past), raw)
-    return official_rollout._join(after)[:, 0], contacts[:, 0]
-
-
 def _networks(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
     past, now, z = golden.packed("x_past"), golden.packed("x_t"), golden["z"]
     posterior, prior, raw = model.posterior(past, now), model.prior(past), model.decode(past, z)
@@ -253,7 +247,12 @@ def _networks(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
         yield _row(golden, "kl_posterior_prior", "lean", kl(posterior, prior).sum(-1))
         z_drawn = posterior.mean + golden["fwd_eps"] * (0.5 * posterior.log_var).exp()
         drawn = model.decode(past, z_drawn)
-        for form, apply in (("official", _official_apply), ("lean", state.apply)):
+
+        def official_apply(past: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
+            after, contacts = official_rollout._apply(official_rollout.split(past), raw)
+            return official_rollout._join(after)[:, 0], contacts[:, 0]
+
+        for form, apply in (("official", official_apply), ("lean", state.apply)):
             after, contacts = apply(past, raw)
             yield _row(golden, "decode_out", form, torch.cat((after[..., _OFFICIAL], contacts), -1))
             after, contacts = apply(past, drawn)

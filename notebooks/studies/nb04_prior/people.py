@@ -49,9 +49,7 @@ class Clips:
 
 def everybody(folder: Path | str | None, every: int) -> list[Take]:
     """Loads all takes of the corpus, or every so manieth recording; none without a folder."""
-    if folder is None:
-        return []
-    return list(corpus.assemble(folder, splits.real_sources(folder), every=every, progress=False).takes)
+    return [*corpus.assemble(folder, splits.real_sources(folder), every=every, progress=False).takes] if folder else []
 
 
 def report_part(takes: Sequence[Take]) -> list[Take]:

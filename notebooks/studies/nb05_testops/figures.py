@@ -116,9 +116,8 @@ def dose(found: Mapping[str, Mapping[str, Mapping[int, Tensor]]], ylabel: str) -
             paint, leads = colour({"stage 3": "stage3"}.get(label, "stage2")), list(by_lead)
             for lead in leads:
                 ax.scatter([lead + 0.5 * k] * len(by_lead[lead]), by_lead[lead], s=10, color=paint, alpha=0.45, lw=0)
-            ax.plot(
-                [x + 0.5 * k for x in leads], [by_lead[n].nanmean().item() for n in leads], color=paint, label=label
-            )
+            ends = [x + 0.5 * k for x in leads], [by_lead[n].nanmean().item() for n in leads]
+            ax.plot(*ends, color=paint, label=label)
         ax.axhline(1.0, color=INK, lw=0.8)
         ax.axhline(0.5, color=LINE, lw=1.0, ls="--")
         ax.set(title=f"{source}, {len(next(iter(by_lead.values())))} people", xticks=leads)
@@ -166,9 +165,8 @@ def dots(ax: Axes, found: Values, generator: torch.Generator) -> None:
         face = paint if filled else "white"
         ax.errorbar(x, mean, [[mean - low], [high - mean]], fmt="o", ms=7, color=paint, mfc=face, lw=2, zorder=3)
         ax.annotate(f"{mean:.1f}", (x, mean), (8, 3), textcoords="offset points", fontsize=9, zorder=4)
-    ax.set_xticks(
-        range(len(found)), [name.replace(" stage", "\nstage").replace(" filter", "\nfilter") for name in found]
-    )
+    names = [name.replace(" stage", "\nstage").replace(" filter", "\nfilter") for name in found]
+    ax.set_xticks(range(len(found)), names)
     ax.set_xlim(-0.5, len(found) - 0.3)
     ax.grid(axis="x", visible=False)
 

@@ -55,9 +55,9 @@ def synthetic(cases: Sequence[str], clips: int, seed: int, frames: int) -> dict[
     def shot(case: str) -> Scene:
         if case in as_filmed:
             return scenes.film(as_filmed[case], clips, seed=seed, frames=frames)
-        sit = case == SITS
-        acted = clips_of.acted("sit", clips_of.sits_down, clips, seed, seconds=1.0) if sit else _crouchers(clips, seed)
-        return _shot(case, acted, seed, frames)
+        if case == SINKS:
+            return _shot(case, _crouchers(clips, seed), seed, frames)
+        return _shot(case, clips_of.acted("sit", clips_of.sits_down, clips, seed, seconds=1.0), seed, frames)
 
     return {(case, SYNTHETIC): shot(case) for case in cases}
 
@@ -115,12 +115,10 @@ def practice(folder: Path | None, clips: int, seed: int, frames: int) -> dict[Ca
 def rows(filmed: Mapping[Case, Scene], people: Mapping[Case, Sequence[str]]) -> list[dict[str, object]]:
     """Returns a row per case and source: clips, people, what is seen and what is wrong."""
     return [
-        {
-            "case": case, "source": source, "clips": len(s),
-            "people": len(set(people.get((case, source), range(len(s))))),
-            "leg joints seen, %": 100 * s.seen[..., gait.legs(s.truth)].float().mean().item(),
-            "false detections, %": 100 * s.wrong.float().mean().item(),
-        }
+        {"case": case, "source": source, "clips": len(s),
+         "people": len(set(people.get((case, source), range(len(s))))),
+         "leg joints seen, %": 100 * s.seen[..., gait.legs(s.truth)].float().mean().item(),
+         "false detections, %": 100 * s.wrong.float().mean().item()}
         for (case, source), s in filmed.items()
     ]  # fmt: skip
 
@@ -165,14 +163,10 @@ def posture(ways: Mapping[str, Motion], truth: Motion) -> dict[str, dict[str, Te
     in degrees ("flexion") and of the legs in cm ("legs")."""
     when = measures.moment(truth)
     return {
-        way: {
-            "seated": seated(motion, when),
-            "bent": gait.sits(motion, when=when),
-            "flexion": measures.flexion_error(motion, truth),
-            "legs": scores(motion, truth)["legs"],
-        }
+        way: {"seated": seated(motion, when), "bent": gait.sits(motion, when=when),
+              "flexion": measures.flexion_error(motion, truth), "legs": scores(motion, truth)["legs"]}
         for way, motion in ways.items()
-    }
+    }  # fmt: skip
 
 
 def crouchers(count: int, seed: int) -> dict[str, Tensor]:
@@ -236,11 +230,7 @@ def smoothing(
 
     power: case -> way -> power over true power (B, bands); the second band holds the accents.
     """
-    band = {k: by_person(power[dance][f"stage {k}"][:, 1], people) for k in (2, 3)}
-    walked = {k: power[WALKS, dance[1]][f"stage {k}"][:, 1].mean() for k in (2, 3)}
-    calm = {k: by_person(measures.acceleration_ratio(stages[k], truth), people) for k in (2, 3)}
-    return [
-        ("band", "median", band[3], band[2]),
-        ("acceleration", "mean", calm[3], calm[2]),
-        ("stylised", "mean", band[3] - walked[3], band[2] - walked[2]),
-    ]
+    band = [by_person(power[dance][f"stage {k}"][:, 1], people) for k in (3, 2)]
+    more = [x - power[WALKS, dance[1]][f"stage {k}"][:, 1].mean() for k, x in zip((3, 2), band, strict=True)]
+    calm = [by_person(measures.acceleration_ratio(stages[k], truth), people) for k in (3, 2)]
+    return [("band", "median", *band), ("acceleration", "mean", *calm), ("stylised", "mean", *more)]

@@ -68,9 +68,7 @@ def some_of(scene: Scene, count: int) -> Scene:
 
 
 def gap(variant: str, frames: int) -> list[int]:
-    """Returns the frames of "first 1", "middle 1", "first 10"; none of "whole"."""
-    if variant == "whole":
-        return []
+    """Returns the frames of "first 1", "middle 1", "first 10"."""
     place, length = variant.split()
     return scenes.gap_frames(place, int(length), frames)
 
@@ -84,17 +82,13 @@ def tiny() -> Schedule:
 def fitted(
     seen: Mapping[str, Scene], way: str, variants: Sequence[str], priors: Priors, schedule: Schedule | None
 ) -> dict[tuple[str, str], CaseFit]:
-    """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> fit.
-
-    schedule: None: the way's own.
-    """
+    """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> fit. schedule: None: the way's own."""
     cases = {
         (source, variant): scenes.without(scene, gap(variant, scene.truth.frames)) if variant != "whole" else scene
         for source, scene in seen.items()
         for variant in variants
     }
-    size = len(next(iter(cases.values())))
-    return trials.fit_together(cases, priors, batch=size, schedule=schedule, **WAYS[way])
+    return trials.fit_together(cases, priors, batch=len(cases[next(iter(cases))]), schedule=schedule, **WAYS[way])
 
 
 def refits(one: Scene, priors: Priors, schedule: Schedule) -> Refit:

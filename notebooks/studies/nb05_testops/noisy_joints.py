@@ -88,13 +88,11 @@ def measures(p: Tensor, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
     feet = skeleton.indices(list(FEET))
     touching = contacts_from_positions(p[..., skeleton.contact_indices, :], truth.fps, resting_heights(STANDARD))
     return {
-        "all cm": CM * pose.mpjpe(p, t, align="none"),
-        "visible cm": CM * seen,
-        "hidden cm": CM * hidden,
+        "all cm": CM * pose.mpjpe(p, t, align="none"), "visible cm": CM * seen, "hidden cm": CM * hidden,
         "acceleration error m/s^2": pose.acceleration_error(p, t, truth.fps),
         "contact F1": gait.contact_scores(touching, truth.contacts).f1,
         "slide mm": gait.slide_where_truth_stands_mm(p[..., feet, :], t[..., feet, :]),
-    }
+    }  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------------------ the two tests
@@ -163,10 +161,8 @@ def rows_of_figure(found: Tried) -> tuple[list[dict[str, dict[str, Tensor]]], tu
         "error of hidden joints (cm)": ("low joints hidden", "hidden cm"),
     }  # fmt: skip
     rows = [
-        {
-            f"{source}, {test}": {name: row[measure] for name, row in by.items() if name != "the truth itself"}
-            for (source, test), by in found.items() if test == which
-        }
+        {f"{source}, {test}": {name: row[measure] for name, row in by.items() if name != "the truth itself"}
+         for (source, test), by in found.items() if test == which}
         for which, measure in shown.values()
     ]  # fmt: skip
     return rows, tuple(shown)

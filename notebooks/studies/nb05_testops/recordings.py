@@ -94,30 +94,22 @@ def pose2sim(folder: Path | str) -> Views:
     return Views(observation, cameras, names, markers[::2][: observation.frames], pictures)
 
 
-def stand_in(count: int, body: BodyModel, *, seed: int, frames: int) -> Views:
-    """Returns easy synthetic clips as views, each with the picture its camera would take."""
-    scene = scenes.film("easy", count, seed=seed, frames=frames)
-    pictures = tuple(over_video.staged(scene.truth.clip(k), camera, body) for k, camera in enumerate(scene.cameras))
-    names = tuple(f"synthetic clip {k + 1}" for k in range(count))
-    return Views(scene.observation, list(scene.cameras), names, None, pictures)
+def shown(own: str | None, data: Path | None, body: BodyModel, *, seed: int, fps: float = FPS, size=None) -> Views:
+    """Returns the views of the first experiment: of a folder of OpenPose JSON of one's own, else Pose2Sim's, else easy
+    synthetic clips, each with the picture its camera would take.
 
-
-def own(folder: Path | str, *, fps: float = FPS, size: tuple[int, int] | None = None) -> Views:
-    """Reads a folder of OpenPose JSON of one's own; nothing is known of its camera but the size of its image.
-
-    size: width and height in pixels; None: the least usual size that holds the detections.
+    Of one's own camera nothing is known but the size of its image: width and height in pixels; None: the least usual
+    size that holds the detections.
     """
-    seen = stacked([at_rate(to_body_25(openpose.load(folder, fps=fps)))])
-    return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen, size=size)[0]),), size)
-
-
-def shown(
-    own_folder: str | None, data: Path | None, body: BodyModel, *, seed: int, fps: float = FPS, size=None
-) -> Views:
-    """Returns the views of the first experiment: one's own, else Pose2Sim's, else synthetic ones."""
-    if own_folder:
-        return own(own_folder, fps=fps, size=size)
-    return pose2sim(data / "pose2sim_openpose") if data else stand_in(2, body, seed=seed, frames=30)
+    if own:
+        seen = stacked([at_rate(to_body_25(openpose.load(own, fps=fps)))])
+        return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen, size=size)[0]),), size)
+    if data:
+        return pose2sim(data / "pose2sim_openpose")
+    scene = scenes.film("easy", 2, seed=seed, frames=30)
+    pictures = tuple(over_video.staged(scene.truth.clip(k), camera, body) for k, camera in enumerate(scene.cameras))
+    names = "synthetic clip 1", "synthetic clip 2"
+    return Views(scene.observation, list(scene.cameras), names, None, pictures)
 
 
 def given(views: Views, how: str, focal: float = 1.0, index: int | None = None) -> dict[str, object]:

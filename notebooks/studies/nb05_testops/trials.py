@@ -7,7 +7,6 @@ from itertools import product
 
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from data_synth.legs import two_bone
 from data_synth.scenes import Scene
@@ -153,19 +152,13 @@ def on_the_floor(motion: Motion) -> Motion:
                 points[clip, :, hip], target[clip], turns[clip, :, 0, :, 0], upper[clip].item(), lower[clip].item()
             )
             low = points[clip, :, ankle, 2] < sole
-            new_hip = _turned(turns[clip, :, hip], points[clip, :, knee] - points[clip, :, hip], thigh)
-            new_knee = _turned(turns[clip, :, knee], points[clip, :, ankle] - points[clip, :, knee], shin)
+            bones = points[clip, :, knee] - points[clip, :, hip], points[clip, :, ankle] - points[clip, :, knee]
+            new_hip = rotation.rotation_between(bones[0], thigh) @ turns[clip, :, hip]
+            new_knee = rotation.rotation_between(bones[1], shin) @ turns[clip, :, knee]
             local = (turns[clip, :, 0].mT @ new_hip, new_hip.mT @ new_knee, new_knee.mT @ turns[clip, :, ankle])
             for joint, value in zip((hip, knee, ankle), local, strict=True):
                 rot[clip, :, joint] = torch.where(low[:, None, None], value, rot[clip, :, joint])
     return replace(motion, rot=rot, contacts=None)
-
-
-def _turned(turn: Tensor, old: Tensor, new: Tensor) -> Tensor:
-    """Orientations (T, 3, 3) turned the shortest way that takes the direction old (T, 3) to new."""
-    axis = torch.linalg.cross(normalize(old, dim=-1), new, dim=-1)
-    sine, cosine = axis.norm(dim=-1), (normalize(old, dim=-1) * new).sum(-1)
-    return rotation.exp(normalize(axis, dim=-1) * torch.atan2(sine, cosine)[..., None]) @ turn
 
 
 def later_error(fit: Motion, truth: Motion, gap: Sequence[int]) -> tuple[Tensor, Tensor]:

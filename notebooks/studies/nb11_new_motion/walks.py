@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from tqdm.auto import tqdm
 
 from motionlab.baselines import cosine_transform
@@ -22,6 +22,7 @@ from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.motion import FPS, Motion
 from motionlab.training.training_loop import fast_halves
+from studies.shared.fill_contenders import Halved
 
 #: Bands of frequency in Hz, from (including) to; cosine k of T frames has k fps / (2 T).
 BANDS = {"below 1 Hz": (0.1, 1.0), "1 to 4 Hz": (1.0, 4.0), "above 4 Hz": (4.0, 1e9)}
@@ -29,20 +30,9 @@ EXACT = 30  # last steps of 1000, which ``halved`` takes in single precision
 LEFT = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.0)  # shares of the steps
 
 
-class _Halved(nn.Module):
-    def __init__(self, inner: nn.Module) -> None:
-        super().__init__()
-        self.inner = inner
-
-    def forward(self, x: Tensor, stamps: Tensor) -> Tensor:
-        rough = int(stamps[0]) >= EXACT
-        with torch.autocast("cpu", torch.bfloat16, enabled=rough):  # what 64 samples at a time compute fits the cache
-            return torch.cat([self.inner(*few).float() for few in zip(x.split(64), stamps.split(64), strict=True)])
-
-
 def halved(model: MotionDiffusion) -> MotionDiffusion:
     """The model with its network in bfloat16, where that is faster (twice), but for the last steps: there it shakes."""
-    return replace(model, denoiser=_Halved(model.denoiser)) if fast_halves() else model
+    return replace(model, denoiser=Halved(model.denoiser, EXACT, lot=64)) if fast_halves() else model  # fits the cache
 
 
 @dataclass(eq=False)

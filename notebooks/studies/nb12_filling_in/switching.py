@@ -83,8 +83,7 @@ def cut_and_faded(a: Motion, b: Motion) -> Motion:
 def _crossed(a: Motion, b: Motion, at: int) -> Motion:
     share = ((torch.arange(FRAMES) - (at - _FADE)) / (2 * _FADE)).clamp(0, 1)
     share = share * share * (3 - 2 * share)
-    turn = rotation.log(a.rot.mT @ b.rot)
-    rot = a.rot @ rotation.exp(share[:, None, None] * turn)
+    rot = rotation.slerp(a.rot, b.rot, share[:, None])
     return replace(a, root=torch.lerp(a.root, b.root, share[:, None]), rot=rot, contacts=None)
 
 

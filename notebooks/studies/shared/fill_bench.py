@@ -148,8 +148,7 @@ def contest(title: str, everybody: Mapping[str, Contender], cast: Cast) -> dict[
             continue
         if options[1:]:
             quick = replace(who, draws=min(who.draws, 2))  # what a score is on average does not depend on how many
-            tried = (scored(quick, o, case, cast.val)[SCORE] for o in options)
-            aims = [float(by_person(x, cast.val.whose).mean()) for x in tried]
+            aims = [float(by_person(scored(quick, o, case, cast.val)[SCORE], cast.val.whose).mean()) for o in options]
             options = [options[aims.index(min(aims))]]
         found[name] = Result(scored(who, options[0], case, cast.test), options[0], who.rival, who.draws == 1)
     return found

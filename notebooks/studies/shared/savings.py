@@ -106,15 +106,13 @@ def chain(model: Cvae, first: Tensor, z: Tensor, on: Savings) -> rollout.Rollout
     """The roll-out from first states (B, 339), world, by latents (B, T, 48), with the prior of each."""
     if on.lean_layout:
         found = rollout.rollout(model, first, z, with_prior=on.prior_after, loops=False)
-        return found if on.prior_after else found._replace(prior=_one_by_one(model, first, found))
+        if on.prior_after:
+            return found
+        past = torch.cat((first[:, None], found.states[:, :-1]), 1)
+        each = [model.prior(x) for x in state.localise(past, state.heading(past)).unbind(1)]
+        return found._replace(prior=Gaussian(*(torch.stack(column, 1) for column in zip(*each, strict=True))))
     align = exact_alignment if on.exact_heading else alignment
     return official_rollout.rollout(model, first, z, align=align, prior_inside=not on.prior_after)
-
-
-def _one_by_one(model: Cvae, first: Tensor, found: rollout.Rollout) -> Gaussian:
-    past = torch.cat((first[:, None], found.states[:, :-1]), 1)
-    each = [model.prior(x) for x in state.localise(past, state.heading(past)).unbind(1)]
-    return Gaussian(*(torch.stack(column, 1) for column in zip(*each, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +136,9 @@ class _Body:
         """Joints (B, T, 22, 3) and landmarks (B, T, 25, 3)."""
         steps, missing = trans.shape[1], self.frames - trans.shape[1]
         if missing and not self.on.needed_frames:
-            full = self.sequence(
-                *(torch.cat((x, x[:, -1:].expand(-1, missing, *x.shape[2:])), 1) for x in (trans, pose))
-            )
-            return full[0][:, :steps], full[1][:, :steps]
+            filled = (torch.cat((x, x[:, -1:].expand(-1, missing, *x.shape[2:])), 1) for x in (trans, pose))
+            joints, marks = self.sequence(*filled)
+            return joints[:, :steps], marks[:, :steps]
         if not self.on.joints_only:
             return body_joints_by_lbs(trans, self.vectors(pose), self.betas)
         joints, turns = fk(skeleton_of(self.betas), trans, self.rot(pose))
