@@ -147,10 +147,8 @@ class Lab:
         return resample(retarget(io_load(file)).motion, FPS)
 
     def answers(self) -> None:
-        """Shows what this notebook answers: verdict and answer of each of its claims.
-
-        The numbers are this run's in the full profile. In the smoke profile they are those of the committed record.
-        """
+        """Shows what this notebook answers: verdict and answer of each of its claims. The numbers are this run's in the
+        full profile. In the smoke profile they are those of the committed record."""
         found = self.settled() if self.profile == "full" else self._record().findings
         mine = [claim for claim in self.claims.values() if claim.notebook == self.number]
         said = [(c, ledger.spoken(c, found), ledger.found_answer(c, found)) for c in mine]
@@ -227,11 +225,9 @@ class Lab:
         return record.moved(self._measured(0.0, 0.0))
 
     def settled(self) -> list[Finding]:
-        """Returns this run's findings, with the recorded ones where this run may not judge.
-
-        A test that needs the full profile or real recordings repeats what the last full run recorded, so that verdicts
-        read the same on every machine. A full run takes over old rows only where the notebook's code is still theirs.
-        """
+        """Returns this run's findings, with the recorded ones where this run may not judge. A test that needs the full
+        profile or real recordings repeats what the last full run recorded, so that verdicts read the same on every
+        machine. A full run takes over old rows only where the notebook's code is still theirs."""
         record = self._record()
         recorded = {(f.test, f.source): f for f in record.findings}
         fresh = {(f.test, f.source): f for f in self.found}
@@ -260,10 +256,8 @@ class Lab:
         self.fold("Every number measured in this run", rows) if fold else self.table(rows)
 
     def verdicts(self, *, fold: bool = False) -> None:
-        """Shows the verdict table without any measured number, the same in both profiles; fold: behind a click.
-
-        A source that only this machine has ("your SMPL") is judged in the numbers above, not here.
-        """
+        """Shows the verdict table without any measured number, the same in both profiles; fold: behind a click. A
+        source that only this machine has ("your SMPL") is judged in the numbers above, not here."""
         shown = [f for f in self.settled() if not f.source.startswith("your ")]
         rows = [
             {"test": f.test, "source": f.source, "we ask": self.criterion(f.test).definition, "bound": f.bound,

@@ -70,11 +70,9 @@ class Entry:
 
 
 def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: bool = True) -> list[Run]:
-    """Runs notebooks side by side, even where some fail, into ``out``/today, and writes the pages.
-
-    The committed results stay as they are. Interrupting writes the pages with what has run, then raises
-    KeyboardInterrupt. run: False where nothing is to be run; the pages say so.
-    """
+    """Runs notebooks side by side, even where some fail, into ``out``/today, and writes the pages. The committed
+    results stay as they are. Interrupting writes the pages with what has run, then raises KeyboardInterrupt. run: False
+    where nothing is to be run; the pages say so."""
     paths, today, ran = execute.find_notebooks(names), out / "today", []
     shutil.rmtree(today, ignore_errors=True)
     today.mkdir(parents=True)
@@ -91,10 +89,8 @@ def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: boo
 
 
 def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[Entry]:
-    """Builds the pages from the committed notebooks, or, of a full run, from its own in ``out``/today.
-
-    Of a short run it compares the numbers with the records; what agrees leaves nothing but these numbers behind.
-    """
+    """Builds the pages from the committed notebooks, or, of a full run, from its own in ``out``/today. Of a short run
+    it compares the numbers with the records; what agrees leaves nothing but these numbers behind."""
     from suite import page  # takes seconds to load
 
     today = {run.notebook: run for run in runs}

@@ -82,11 +82,8 @@ def gradient(case: Case, energy: Energy) -> tuple[float, float]:
 
 
 class PartialFit(NamedTuple):
-    """What a fit to the arm and the face did.
-
-    moved: the fitted motions (..., T). legs_mm: by budget in closures, how far a leg joint had moved at most in the
-    pelvis's frame at the best point up to there, mm (...).
-    """
+    """What a fit to the arm and the face did. moved: the fitted motions (..., T). legs_mm: by budget in closures, how
+    far a leg joint had moved at most in the pelvis's frame at the best point up to there, mm (...)."""
 
     moved: Motion
     legs_mm: dict[int, Tensor]

@@ -21,21 +21,17 @@ def moved_by_mm(body: BodyModel, pose: Motion, names: Sequence[str]) -> Tensor:
 
 
 def leaked_mm(body: BodyModel, pose: Motion) -> Tensor:
-    """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian.
-
-    A joint may move what it, or a joint below it, holds with a weight of ``skinning.SMALL``.
-    """
+    """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian. A joint
+    may move what it, or a joint below it, holds with a weight of ``skinning.SMALL``."""
     below = body.skeleton.ancestors().to(body.weights)
     allowed = (body.weights >= skinning.SMALL).to(below) @ below > 0
     return 1000 * torch.where(allowed, 0, _levers(body, pose)).norm(dim=-1)
 
 
 def _levers(body: BodyModel, pose: Motion) -> Tensor:
-    """How far each vertex moves per radian of each joint: (V, J), metres, without pose correctives.
-
-    Turning joint j by a small w moves v by w x sum_k w_vk (x_vk - p_j), k being j and all below it, x_vk where joint k
-    alone would carry v; the Frobenius norm is sqrt(2) times that sum's. As :func:`motionlab.skinning.influence`.
-    """
+    """How far each vertex moves per radian of each joint: (V, J), metres, without pose correctives. Turning joint j by
+    a small w moves v by w x sum_k w_vk (x_vk - p_j), k being j and all below it, x_vk where joint k alone would carry
+    v; the Frobenius norm is sqrt(2) times that sum's. As :func:`motionlab.skinning.influence`."""
     positions, world = (x[0] for x in fk(pose.skeleton, pose.root, pose.rot))
     turn = world @ body.bind_rot.mT
     carried = torch.einsum("jab,vjb->vja", turn, body.template[:, None] - body.joints) + positions

@@ -42,10 +42,8 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a search found: x (B, T, 273), z (B, T - 1, 48), betas (B, 8).
-
-    seconds: processor time of the search alone. watched: what ``watch`` returned, by evaluations before it.
-    """
+    """What a search found: x (B, T, 273), z (B, T - 1, 48), betas (B, 8). seconds: processor time of the search alone.
+    watched: what ``watch`` returned, by evaluations before it."""
 
     unknown: dict[str, Tensor]
     seconds: float
@@ -71,10 +69,8 @@ def search(
     problem: Problem, start: Unknown, plan: Plan, evaluations: int, *,
     watch: Watch | None = None, at: Sequence[int] = (),
 ) -> Found:  # fmt: skip
-    """Adam, clip by clip, with steps that shrink to nothing along half a cosine; or in turns of it.
-
-    watch: called with the unknowns after ``at`` evaluations; it is not timed. A clip that is not finite stays.
-    """
+    """Adam, clip by clip, with steps that shrink to nothing along half a cosine; or in turns of it. watch: called with
+    the unknowns after ``at`` evaluations; it is not timed. A clip that is not finite stays."""
     if plan.turns:
         return _in_turns(problem, start, plan, evaluations)
     now = {n: x.detach().clone() for n, x in start.items()}

@@ -38,11 +38,8 @@ from studies.shared.sitting import seated
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """B clips at the end of stage 2.
-
-    problem: the energy of stage 3. start: the persistent states of stage 2, the posterior's mean for each of its
-    transitions, its shape. truth, stage_2: motions (B, T).
-    """
+    """B clips at the end of stage 2. problem: the energy of stage 3. start: the persistent states of stage 2, the
+    posterior's mean for each of its transitions, its shape. truth, stage_2: motions (B, T)."""
 
     problem: Problem
     start: dict[str, Tensor]

@@ -31,11 +31,9 @@ from studies.shared.fill_people import Cast
 
 @dataclass(frozen=True)
 class ReverseProcess:
-    """How the reverse process begins and goes on.
-
-    level: noise at its first step, over that of the motion. topped: numbers less noisy than that get more. looks: with
-    other noise, averaged. filtered: the rough motion is what begins, not the noisy one.
-    """
+    """How the reverse process begins and goes on. level: noise at its first step, over that of the motion. topped:
+    numbers less noisy than that get more. looks: with other noise, averaged. filtered: the rough motion is what begins,
+    not the noisy one."""
 
     level: float = 1.0
     topped: bool = True

@@ -44,9 +44,7 @@ def begun(
     some: Sequence[Take], fits: Callable[[Motion], Tensor], generator: torch.Generator, each: int, most: int
 ) -> list[tuple[str, Motion]]:
     """Returns clips that begin where ``fits`` (starts,) is true, at most ``each`` a person and ``most`` in all.
-
-    Beginnings are drawn; clips of one take do not overlap.
-    """
+    Beginnings are drawn; clips of one take do not overlap."""
     found: dict[str, list[Motion]] = {}
     for take in some:
         starts = fits(take.motion).nonzero().flatten()

@@ -112,11 +112,9 @@ def everybody_of(
     folder: Path | str | None, *, each: int = 24, practice: int = 3, library: int = 15_000, parts: int = 256,
     most: int = 1000, draws: int = 6, halves: bool = True,
 ) -> tuple[Cast, Models, Mapping[str, Contender]]:  # fmt: skip
-    """Windows, models, and contenders by name.
-
-    each, practice: windows of each test person, and of validation people. library, parts: windows that rivals
-    learn from, and parts of the Gaussian. most: steps of P's sampler. halves: compute in bfloat16 where that is fast.
-    """
+    """Windows, models, and contenders by name. each, practice: windows of each test person, and of validation people.
+    library, parts: windows that rivals learn from, and parts of the Gaussian. most: steps of P's sampler. halves:
+    compute in bfloat16 where that is fast."""
     cast = Cast.of(folder, each, practice, library, torch.Generator().manual_seed(0))
     fitted = Rivals.fit(cast.learnt, torch.Generator().manual_seed(1), parts=parts)
     r, t, p = completer.load("completer"), completer.load("completer_draws"), motion_model("diffusion_plain")
