@@ -57,10 +57,13 @@ def moments(folder: Path | str, *, frames: int = 60, views: int = 4) -> Moments:
     for name, (take, start) in MOMENTS.items():
         place, first = Path(folder) / take, round(start * FPS)
         there = points.load_biomech(place / "biomech.csv", fps=50.0).select(list(COMPARED.values())).positions
+        at = (first + torch.arange(frames)) * (50.0 / FPS)  # joints at 30 fps, linear between
+        low = at.floor().long().clamp(max=len(there) - 2)
+        share = (at - low)[:, None, None]
         for index, camera in enumerate([*load_cameras(place / "camera.calib").values()][:views]):
             table = points.load_projected(place / f"projected{index:02}.csv", camera=camera, fps=50.0)
             seen.append(part(at_rate(_as_body_25(table)), slice(first, first + frames)))
-            cameras.append(camera), joints.append(_at_30(there, first, frames)), names.append(name)
+            cameras.append(camera), joints.append(torch.lerp(there[low], there[low + 1], share)), names.append(name)
     return Moments(stacked(seen, camera=None), cameras, torch.stack(joints), tuple(names))
 
 
@@ -69,13 +72,6 @@ def _as_body_25(table: Observation2D) -> Observation2D:
     keypoints = torch.stack([table.keypoints[:, some].mean(1) for some in rows], 1)
     confidence = torch.stack([table.confidence[:, some].amin(1) for some in rows], 1)
     return replace(table, keypoints=keypoints, confidence=confidence, names=BODY_25)
-
-
-def _at_30(joints: Tensor, first: int, frames: int) -> Tensor:
-    """Joints (T, 12, 3) at 50 fps as (frames, 12, 3) at 30, linear between."""
-    at = (first + torch.arange(frames)) * (50.0 / FPS)
-    low = at.floor().long().clamp(max=len(joints) - 2)
-    return torch.lerp(joints[low], joints[low + 1], (at - low)[:, None, None])
 
 
 def over_time(motion: Motion, truth: Tensor) -> Tensor:

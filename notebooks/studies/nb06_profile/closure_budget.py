@@ -70,8 +70,12 @@ def spend(contenders: Mapping[str, tuple[Workload, Savings]], *, n: int) -> dict
     tables = {name: phases(work.frames) for name, (work, _) in contenders.items()}
     calls = {name: [work.closure(phase.part, on) for phase in tables[name]] for name, (work, on) in contenders.items()}
     rounds = [{name: [_parts(closure) for closure in row] for name, row in calls.items()} for _ in range(1 + n)][1:]
+
+    def columns(rows: Sequence[dict[str, float]]) -> dict[str, Tensor]:
+        return {name: torch.tensor([row[name] for row in rows], dtype=torch.float64) for name in rows[0]}
+
     return {
-        name: Spent(tuple(table), tuple(_columns(column) for column in zip(*(r[name] for r in rounds), strict=True)))
+        name: Spent(tuple(table), tuple(map(columns, zip(*(r[name] for r in rounds), strict=True))))
         for name, table in tables.items()
     }
 
@@ -80,7 +84,3 @@ def _parts(closure: Callable[..., Tensor]) -> dict[str, float]:
     watch = Stopwatch(time.process_time)
     closure(mark=watch)
     return watch.seconds
-
-
-def _columns(rows: Sequence[dict[str, float]]) -> dict[str, Tensor]:
-    return {name: torch.tensor([row[name] for row in rows], dtype=torch.float64) for name in rows[0]}

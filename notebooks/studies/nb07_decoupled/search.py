@@ -92,7 +92,8 @@ def search(
             step = _like(plan.rate, g) * pace / (1 - _BETAS[0] ** (i + 1))
             now[n] = now[n] - torch.where(_like(good, g), step * first[n] / size, 0.0)
         if bool((torch.as_tensor(plan.share) > 0).any()):
-            now["x"] = _blended(now["x"], decoded, plan.share)
+            after, x = to_persistent(decoded.states[:, 0, 1:].detach()), now["x"]
+            now["x"] = torch.cat((x[:, :1], torch.lerp(x[:, 1:], after, _like(plan.share, after).to(x))), 1)
         spent += time.process_time() - began
     return Found(now, spent, watched)
 
@@ -107,11 +108,6 @@ def _evaluated(problem: Problem, now: Unknown, plan: Plan) -> tuple[dict[str, Te
         gradient["x"][:, 0] = 0.0
     good = torch.stack([g.flatten(1).isfinite().all(1) for g in (value[:, None], *gradient.values())]).all(0)
     return {n: torch.where(_like(good, g), g, 0.0) for n, g in gradient.items()}, good, decoded
-
-
-def _blended(x: Tensor, decoded: Sequences, share: Number) -> Tensor:
-    after = to_persistent(decoded.states[:, 0, 1:].detach())
-    return torch.cat((x[:, :1], torch.lerp(x[:, 1:], after, _like(share, after).to(x))), 1)
 
 
 def _like(value: Number, x: Tensor) -> Tensor:

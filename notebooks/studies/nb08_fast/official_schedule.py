@@ -37,12 +37,12 @@ RECIPE = {"prior": pretrained.DEFAULT, "seed": SEED, "frames": FRAMES, "clips": 
 RECIPE["official"] = OFFICIAL
 
 
-def tasks(count: int = CLIPS, *, seed: int = SEED, frames: int = FRAMES) -> Iterator[Task]:
+def tasks() -> Iterator[Task]:
     """Clips of joints with noise, of hidden low joints, and of keypoints of a walk behind a wall."""
     known = pretrained.load_priors()
-    truth = scenes.held_out(count, seed=seed, frames=frames)
-    film = scenes.film(WALK, count, seed=seed + 1, frames=frames)
-    noisy = joints.noisy(truth, torch.Generator().manual_seed(seed))
+    truth = scenes.held_out(CLIPS, seed=SEED, frames=FRAMES)
+    film = scenes.film(WALK, CLIPS, seed=SEED + 1, frames=FRAMES)
+    noisy = joints.noisy(truth, torch.Generator().manual_seed(SEED))
     for name, seen, weights, moved, cameras in (
         ("noisy joints", noisy, JOINTS, truth, None),
         ("low joints hidden", joints.low_hidden(truth), KEYPOINTS, truth, None),

@@ -71,15 +71,11 @@ def clips(
         films = {view: scenes.film_recorded(view, motions, seed=seed) for view in (PLAIN, WALL)}
         for k, person in enumerate(who):
             view = (PLAIN, WALL)[k % 2]
-            found.append(_clip(source, person, view, films[view], k, priors, work))
+            film, seen = films[view], films[view].clip(k)
+            how = {"cameras": [film.cameras[k]], "schedule": work, "seen": film.seen[k : k + 1]}
+            task = prepare(view, stacked([seen], camera=None), priors, RGB_LIGHT, film.truth.clip([k]), **how)
+            found.append(Clip(source, person, view, task, seen, film.occluders[k]))
     return found
-
-
-def _clip(source: str, person: str, view: str, film: scenes.Scene, k: int, priors: Priors, work: Schedule) -> Clip:
-    seen = film.clip(k)
-    how = {"cameras": [film.cameras[k]], "schedule": work, "seen": film.seen[k : k + 1]}
-    task = prepare(view, stacked([seen], camera=None), priors, RGB_LIGHT, film.truth.clip([k]), **how)
-    return Clip(source, person, view, task, seen, film.occluders[k])
 
 
 def contenders(how: Single, works: Mapping[str, Schedule]) -> dict[str, partial]:
@@ -106,7 +102,8 @@ def best(runs: Mapping[str, Run]) -> float:
 
 def above(task: Task, run: Run, low: float, seconds: float) -> float:
     """How far the energy known after so many seconds is above another, nats a frame; the start's, before any is."""
-    return (min(run.energy_at(seconds), task.energy(run.kept[0][1]).item()) - low) / task.nat
+    known = run.energies[run.seconds <= seconds].tolist()[-1:]
+    return (min(*known, *task.energy(run.kept[0][1]).tolist()) - low) / task.nat
 
 
 def times_sooner(task: Task, runs: Mapping[str, Run]) -> float:

@@ -123,11 +123,6 @@ class Run:
         low = self.energies <= energy
         return self.seconds[low.double().argmax()].item() if low.any() else float("inf")
 
-    def energy_at(self, seconds: float) -> float:
-        """The lowest energy that was known after so many seconds; infinite before the first."""
-        count = int((self.seconds <= seconds).sum())
-        return self.energies[count - 1].item() if count else float("inf")
-
     def at(self, seconds: float) -> Unknowns:
         """What it had after so many seconds; its start, before."""
         return [u for k, (now, u) in enumerate(self.kept) if now <= seconds or k == 0][-1]
@@ -223,8 +218,12 @@ def shooting(task: Task, work: Schedule) -> Run:
     kept.append((clock() - began, found.detached()))
     spent = clock() - began
     energies = torch.cat([fit.history for fit in fits]).nan_to_num(torch.inf).amin(1).cummin(0).values
-    kept = [(now, _lower(task, unknown)) for now, unknown in kept]
-    return Run(energies, torch.tensor(seconds[: len(energies)]), kept, spent)
+
+    def lower(unknown: Unknowns) -> Unknowns:  # of the rows of one clip's unknowns
+        energy = task.rows([0] * len(unknown.z)).energy(unknown)
+        return unknown.rows(energy.argmin()[None])
+
+    return Run(energies, torch.tensor(seconds[: len(energies)]), [(now, lower(u)) for now, u in kept], spent)
 
 
 def _seated(task: Task) -> Unknowns:
@@ -235,9 +234,3 @@ def _seated(task: Task) -> Unknowns:
     with torch.no_grad():
         latent = task.problem.priors.pose.encode(sits.rot[:, :, 1:]).mean
     return replace(task, rough=sits, latent=latent).begun(starts.DAMPING_SHOOTING, trust).unknown
-
-
-def _lower(task: Task, unknown: Unknowns) -> Unknowns:
-    """Of the rows of one clip's unknowns that of lowest energy."""
-    some = task.rows([0] * len(unknown.z))
-    return unknown.rows(some.energy(unknown).argmin()[None])

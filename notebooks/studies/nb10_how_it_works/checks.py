@@ -59,7 +59,10 @@ def table(rows: list[Check], others: list[Check]) -> list[dict[str, str]]:
 
 def of_schedule(schedule: NoiseSchedule, generator: torch.Generator) -> list[Check]:
     """A schedule said to be the cited paper's, s = 0.008: its tables, its noising, its posterior, its respacing."""
+    from diffusers import DDPMScheduler
+
     steps = len(schedule)
+    theirs = DDPMScheduler(steps, beta_schedule="squaredcos_cap_v2").betas.double()
     x0, noise = (torch.randn(steps, 3, generator=generator, dtype=F64) for _ in range(2))
     xt = schedule.noised(x0, torch.arange(steps), noise)
     beta, level = _by_hand(steps)
@@ -70,7 +73,7 @@ def of_schedule(schedule: NoiseSchedule, generator: torch.Generator) -> list[Che
     of_mean, of_variance = _bayes(schedule, x0, xt)
     return [
         Check("alpha-bar", "4.4", "cos² of the cited paper, in plain floats", _most(schedule.alpha_bar - level)),
-        Check("beta", "4.1", "diffusers, squaredcos_cap_v2 (float32)", _most(schedule.beta - _theirs(steps))),
+        Check("beta", "4.1", "diffusers, squaredcos_cap_v2 (float32)", _most(schedule.beta - theirs)),
         Check("x_t from x_0", "4.3", "Eq. 4.1 walked step by step", _most(xt - _walked(x0, noise, beta))),
         Check("posterior mean", "4.6, 4.7", "product of two Gaussians", of_mean),
         Check("posterior variance", "4.7", "product of two Gaussians", of_variance),
@@ -114,12 +117,6 @@ def _by_hand(steps: int) -> tuple[list[float], Tensor]:
         level *= 1 - b
         found.append(level)
     return beta, torch.tensor(found, dtype=F64)
-
-
-def _theirs(steps: int) -> Tensor:
-    from diffusers import DDPMScheduler
-
-    return DDPMScheduler(steps, beta_schedule="squaredcos_cap_v2").betas.double()
 
 
 def _walked(x0: Tensor, noise: Tensor, beta: list[float]) -> Tensor:

@@ -77,11 +77,6 @@ def joined(first: Motion, second: Motion, cut: Tensor) -> Motion:
     return replace(first, root=root, rot=rotation.slerp(first.rot, second.rot, weight[..., None]), contacts=None)
 
 
-def told_nothing(count: int, generator: torch.Generator, steps: int = 10) -> Motion:
-    """Draws of our own model (T, ``completer_draws``), which is told what is known: here nothing."""
-    return completer.load("completer_draws").complete(*nothing(count), generator, steps=steps)
-
-
 def everybody(
     cast: Cast, windows: int, count: int, generator: Callable[[str], torch.Generator]
 ) -> tuple[dict[str, Motion], int]:
@@ -92,5 +87,5 @@ def everybody(
         "Gaussian, planted": normal,
         "spliced windows": spliced(cast, windows, count, generator("spliced")),
         "a pose held": held(cast, count, generator("held")),
-        "T, ours": told_nothing(count, generator("T")),
+        "T, ours": completer.load("completer_draws").complete(*nothing(count), generator("T"), steps=10),
     }, parts

@@ -99,11 +99,6 @@ def _pace(motion: Motion) -> Tensor:
     return moved * moved.new_tensor([1.0, 1.0, 0.0])
 
 
-def on_feet(made: Motion, known: Tensor) -> Motion:
-    """With feet that stand, or step, where they are low and slow in the gap, as the product does."""
-    return lock_feet(with_contacts(made), known=known[..., 0], ease=_EASE * made.fps, step=True)
-
-
 def everybody(m: Models, a: PersonWindows, b: Motion) -> dict[str, Motion]:
     """What needs no network, by name, then R, T and P, mixed with what is known; feet planted but of the bare cut."""
     given, known = asked(a.motion, b)
@@ -111,7 +106,8 @@ def everybody(m: Models, a: PersonWindows, b: Motion) -> dict[str, Motion]:
     made = {R: m.r.complete(given, told), T: m.drawn(given, told, 0), P: m.plain(given, told, MIXED, 0)}
     made = {name: cases.restore_known(x, given, known | a.lacks) for name, x in made.items()}
     made = {RIVALS[1]: cut, RIVALS[2]: m.curves(given, known)} | made
-    return {RIVALS[0]: cut} | {name: on_feet(x, known) for name, x in made.items()}
+    how = {"known": known[..., 0], "ease": _EASE * cut.fps, "step": True}  # as the product does
+    return {RIVALS[0]: cut} | {name: lock_feet(with_contacts(x), **how) for name, x in made.items()}
 
 
 def measured(made: Motion, a: Motion, b: Motion) -> dict[str, Tensor]:

@@ -54,13 +54,10 @@ def shares(made: Judged, real: Judged, whose: Tensor) -> dict[str, Tensor]:
     """Coverage and recall (P,) of each person: of their windows, how many have a sample among their five nearest
     people's windows; how many lie within a sample's three nearest samples."""
     apart = torch.cdist(made.latent.double(), real.latent.double())
-    around, among = (_radii(x.latent, k) for x, k in ((real, 5), (made, 3)))
+    latents = ((real.latent.double(), 5), (made.latent.double(), 3))
+    around, among = (torch.cdist(x, x).kthvalue(k + 1, dim=1).values for x, k in latents)
     found = {"coverage": (apart < around).any(0), "recall": (apart <= among[:, None]).any(0)}
     return {name: by_person(hit.double(), whose) for name, hit in found.items()}
-
-
-def _radii(x: Tensor, k: int) -> Tensor:
-    return torch.cdist(x.double(), x.double()).kthvalue(k + 1, dim=1).values
 
 
 def frechet(made: Judged, real: Judged) -> float:
