@@ -153,7 +153,7 @@ def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatc
     execute._write_fingerprint(path)
     record = findings.load_record(suite / "results/01.json")
     assert record.fingerprint == marks and record.findings == before.findings
-    assert record.source_hash == staleness.code_hash(path) and execute._smoke_seconds(path) == 2
+    assert record.source_hash == staleness.code_hash(path) and record.provenance["smoke seconds"] == "2"
     smoke = replace(smoke, fingerprint={"size": staleness.mark(5.0)})
     with pytest.raises(staleness.StaleRecord, match="size was 4, is 5"):
         execute._write_fingerprint(path)

@@ -118,13 +118,11 @@ def test_tables_escape_what_would_break_them():
     assert notebook._markdown_table([]) == "*(no rows)*"
 
 
-def test_figures_of_every_kind_are_shown(bench, tmp_path, capsys):
+def test_figures_of_every_kind_are_shown(bench):
     lab = bench("smoke")
     fig = plt.figure()
     picture = np.zeros((4, 6, 3), dtype=np.uint8)
     lab.figure(fig, "02.1", "a plot")
     lab.figure(picture, "02.2", "an image")
-    notebook.Pillow.fromarray(picture).save(tmp_path / "a.png")
-    lab.figure(tmp_path / "a.png", "02.3", "a file")
-    lab.figure(HTML("<img>"), "02.4", "a film")
+    lab.figure(HTML("<img>"), "02.3", "a film")
     assert not plt.get_fignums()

@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -80,7 +81,6 @@ class Lab:
     found: list[Finding] = field(default_factory=list)
     marks: staleness.Fingerprint = field(default_factory=dict)
     opened: float = field(default_factory=time.perf_counter)
-    bench: tempfile.TemporaryDirectory = field(default_factory=lambda: tempfile.TemporaryDirectory(prefix="motionlab-"))
 
     @property
     def number(self) -> str:
@@ -126,9 +126,13 @@ class Lab:
             display(HTML(picture._repr_html_()))
         self.say(f"**Figure {number}.** {caption}")
 
+    @cached_property
+    def _workbench(self) -> tempfile.TemporaryDirectory:
+        return tempfile.TemporaryDirectory(prefix="motionlab-")
+
     def scratch(self, name: str) -> Path:
         """Returns a path for a film or file of this run in a folder that is deleted afterwards."""
-        return Path(self.bench.name) / name
+        return Path(self._workbench.name) / name
 
     def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
         """Shows rows (all with the same keys) as a Markdown table; floats with three digits."""
