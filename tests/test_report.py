@@ -73,14 +73,14 @@ def test_the_report_needs_nothing_but_its_folder(built):
     out, entries = built
     found = list(problems(out))
     assert not found, "\n".join(found)
-    assert {f"{entry.page.name}.html" for entry in entries} < {path.name for path in out.glob("*.html")}
+    assert {f"{entry.name}.html" for entry in entries} < {path.name for path in out.glob("*.html")}
 
 
 def test_every_notebook_has_a_card_and_no_row_is_not_a_number(built):
     out, entries = built
     index = (out / "index.html").read_text(encoding="utf-8")
     assert index.count('<article class="card">') == len(entries) and "<video autoplay" in index
-    assert all(entry.page.question and entry.page.answer and entry.page.picture for entry in entries)
+    assert all(entry.question and entry.answer and entry.picture for entry in entries)
     tests = (out / "tests.html").read_text(encoding="utf-8")
     assert not re.search(r"\b(nan|None)\b", tests)
     nothing = math.nan, math.nan, math.nan, 0

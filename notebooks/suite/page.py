@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 from latex2mathml.converter import convert
 from nbconvert.filters import Highlight2HTML, ansi2html
@@ -44,47 +45,24 @@ class Picture:
         return re.sub(r"[*`$]", "", _SENTENCE.split(self.caption.strip())[0])
 
 
-@dataclass(frozen=True)
-class Page:
-    """A notebook: its name, title, question and answer, the points that its first cell makes in bold, pictures, body.
+def read(notebook: Path, out: Path) -> SimpleNamespace:
+    """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media.
 
-    question, answer, points and body are HTML."""
-
-    name: str
-    title: str
-    question: str
-    answer: str
-    points: tuple[str, ...]
-    pictures: tuple[Picture, ...]
-    body: str
-
-    @property
-    def number(self) -> str:
-        """The notebook's number, "02" or "05a"."""
-        return number_of(self.name)
-
-    @property
-    def picture(self) -> Picture | None:
-        """The one for its card: the first film, else the first."""
-        return next(iter(sorted(self.pictures, key=lambda each: not each.film)), None)
-
-
-def read(notebook: Path, out: Path) -> Page:
-    """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media."""
+    Returns its name, number and title; question, answer, the points that its first cell makes in bold, and body as
+    HTML; pictures, and the one for its card: the first film, else the first.
+    """
     import nbformat  # takes seconds to load
 
     (out / "media").mkdir(parents=True, exist_ok=True)
-    book = nbformat.read(notebook, as_version=4)
-    numbers = itertools.count(1)
+    book, number, numbers = nbformat.read(notebook, as_version=4), number_of(notebook.stem), itertools.count(1)
 
     def keep(embedded: re.Match[str]) -> str:
         """Write what is embedded, and name the file."""
-        file = f"media/{number_of(notebook.stem)}-{next(numbers)}.{embedded[1]}"
+        file = f"media/{number}-{next(numbers)}.{embedded[1]}"
         (out / file).write_bytes(base64.b64decode(embedded[2]))
         return file
 
-    pictures: list[Picture] = []
-    body: list[str] = []
+    pictures, body = [], []
     code = ""  # that showed nothing yet: folded together with what follows
     for cell in (*book.cells, nbformat.v4.new_markdown_cell("")):
         if cell.cell_type == "code":
@@ -103,15 +81,13 @@ def read(notebook: Path, out: Path) -> Page:
     answer = _said(first, "Answer", "We find")
     points = re.findall(r"^- \*\*(.+?)\*\*", answer, re.MULTILINE)
     title = re.match(r"# (?:\S+ · )?(.*)", first)
-    return Page(
-        name=notebook.stem,
-        title=title[1] if title else notebook.stem,
+    return SimpleNamespace(
+        name=notebook.stem, number=number, title=title[1] if title else notebook.stem,
         question=_inline(_said(first, "Question")),
-        answer=_inline(points[0] if answer.startswith("- ") else _begin(answer)),
-        points=tuple(map(_inline, points)),
-        pictures=tuple(pictures),
+        answer=_inline(points[0] if answer.startswith("- ") else _begin(answer)), points=list(map(_inline, points)),
+        pictures=pictures, picture=min(pictures, key=lambda each: not each.film, default=None),
         body=re.sub(r'\.ipynb(?=["#])', ".html", "\n".join(body)),  # links to other notebooks
-    )
+    )  # fmt: skip
 
 
 # ---------------------------------------------------------------------------------------------------------------- text

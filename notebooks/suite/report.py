@@ -12,19 +12,16 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import jinja2
 
 from suite import execute, findings, ledger, staleness
 from suite.execute import Run
 from suite.findings import Claim, Finding, Record
-
-if TYPE_CHECKING:
-    from suite.page import Page
 
 #: The film that the page begins with, by its caption; without it, the first.
 FILM = "**Figure 00.2.**"
@@ -53,22 +50,6 @@ class Check(NamedTuple):
     agree: int = 0
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A notebook in the gallery: its page, its record, what today's run says of it, its claims with their verdicts."""
-
-    page: Page
-    record: Record
-    check: Check
-    claims: tuple[tuple[Claim, str], ...]
-
-    @property
-    def needs(self) -> str:
-        """The data that its numbers come from."""
-        real = self.record.fingerprint_on_recordings or any(map(ledger.is_real, self.record.findings))
-        return "synthetic motion and recordings" if real else "synthetic motion alone"
-
-
 def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: bool = True) -> list[Run]:
     """Runs notebooks side by side, even where some fail, into ``out``/today, and writes the pages. The committed
     results stay as they are. Interrupting writes the pages with what has run, then raises KeyboardInterrupt. run: False
@@ -84,19 +65,20 @@ def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: boo
     finally:
         for entry in build(out, ran, full=profile == "full"):
             if entry.check.mark == "bad":
-                print(f"{entry.page.name}: {entry.check.said}")
+                print(f"{entry.name}: {entry.check.said}")
     return sorted(ran, key=lambda each: each.notebook)
 
 
-def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[Entry]:
+def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[SimpleNamespace]:
     """Builds the pages from the committed notebooks, or, of a full run, from its own in ``out``/today. Of a short run
-    it compares the numbers with the records; what agrees leaves nothing but these numbers behind."""
+    it compares the numbers with the records; what agrees leaves nothing but these numbers behind. Returns what
+    ``page.read`` read, with the record, what today's run says, the data needed, and claims with verdicts."""
     from suite import page  # takes seconds to load
 
     today = {run.notebook: run for run in runs}
     claims = findings.load_claims(execute.NOTEBOOKS / "claims.toml")
     found = findings.load_results(execute.NOTEBOOKS / "results")
-    shown = []
+    entries = []
     for path in execute.find_notebooks():
         run, copy = today.get(path.stem), out / "today" / path.name
         record, now = findings.record_of(path), findings.record_of(copy)
@@ -106,12 +88,13 @@ def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[En
             found = [*(f for f in found if f.notebook != path.stem), *record.findings]
         elif check.mark == "good":
             copy.unlink(missing_ok=True)
-        shown.append((page.read(path, out), record, check))
+        entries.append(entry := page.read(path, out))
+        real = record.fingerprint_on_recordings or any(map(ledger.is_real, record.findings))
+        needs = "synthetic motion and recordings" if real else "synthetic motion alone"
+        entry.record, entry.check, entry.needs = record, check, needs
     verdicts = {claim: ledger.verdict(claim, found) for claim in claims.values()}
-    entries = [
-        Entry(each, record, check, tuple((c, said) for c, said in verdicts.items() if c.notebook == each.number))
-        for each, record, check in shown
-    ]
+    for entry in entries:
+        entry.claims = [(claim, said) for claim, said in verdicts.items() if claim.notebook == entry.number]
     _write(out, entries, verdicts, found)
     return entries
 
@@ -135,20 +118,22 @@ def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check
 
 
 # --------------------------------------------------------------------------------------------------------------- pages
-def _write(out: Path, entries: Sequence[Entry], verdicts: Mapping[Claim, str], found: Sequence[Finding]) -> None:
+def _write(
+    out: Path, entries: Sequence[SimpleNamespace], verdicts: Mapping[Claim, str], found: Sequence[Finding]
+) -> None:
     """Write the gallery, a page for every notebook, that of the tests, and their style."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"measured": _measured, "duration": staleness.duration}
-    parts = groupby(entries, lambda entry: [part for number, part in PARTS.items() if number <= entry.page.number][-1])
-    films = [picture for entry in entries for picture in entry.page.pictures if picture.film]
+    parts = groupby(entries, lambda entry: [part for number, part in PARTS.items() if number <= entry.number][-1])
+    films = [picture for entry in entries for picture in entry.pictures if picture.film]
     environment.globals |= {
         "entries": entries, "parts": {title: list(some) for title, some in parts}, "claims": verdicts,
         "verdicts": _VERDICTS, "findings": found, "ledger": ledger,
         "film": max(films, key=lambda film: film.caption.startswith(FILM), default=None),
-        "pages": {entry.page.number: f"{entry.page.name}.html" for entry in entries},
-        "points": next((entry.page.points for entry in reversed(entries) if entry.page.points), ()),
+        "pages": {entry.number: f"{entry.name}.html" for entry in entries},
+        "points": next((entry.points for entry in reversed(entries) if entry.points), ()),
         "checks": Counter(entry.check.mark for entry in entries), "day": time.strftime("%Y-%m-%d"),
     }  # fmt: skip
 
@@ -158,7 +143,7 @@ def _write(out: Path, entries: Sequence[Entry], verdicts: Mapping[Claim, str], f
     write("index.html", "index.html")
     write("tests.html", "tests.html")
     for before, entry, after in zip([None, *entries], entries, [*entries[1:], None], strict=False):
-        write(f"{entry.page.name}.html", "notebook.html", entry=entry, before=before, after=after)
+        write(f"{entry.name}.html", "notebook.html", entry=entry, before=before, after=after)
     shutil.copy(TEMPLATES / "style.css", out / "style.css")
 
 
