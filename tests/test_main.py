@@ -131,13 +131,14 @@ def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     assert (suite / "01_runs.ipynb").read_bytes() == first
 
 
-def test_notebooks_run_side_by_side_and_the_longest_begins_first(suite, tmp_path, capsys):
+def test_notebooks_run_side_by_side_and_the_longest_begins_first(suite, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(execute.parallel, "cores", lambda: 1)
     record = findings.load_record(suite / "results/01.json")
     findings.save_record(suite / "results/00.json", replace(record, provenance={"smoke seconds": "3"}))
     findings.save_record(suite / "results/01.json", replace(record, provenance={"smoke seconds": "30"}))
     jobs = [(path, tmp_path / path.name) for path in execute.find_notebooks()]
     seen = []
-    runs = execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, done=seen.append, processes=1)
+    runs = execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, done=seen.append)
     assert [run.notebook for run in runs] == ["00_fails", "01_runs"] and seen == runs[::-1]
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("[1/2] 01_runs") and lines[0].endswith("ran") and "failed at cell 2" in lines[1]

@@ -111,14 +111,11 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
 
 # ------------------------------------------------------------------------------------------------------ several of them
 def run_side_by_side(
-    jobs: Sequence[tuple[Path, Path]], environment: Mapping[str, str], *,
-    done: Callable[[Run], object] = lambda run: None, processes: int | None = None,
-) -> list[Run]:  # fmt: skip
-    """Runs notebooks (from, to) on so many processes (this machine's cores), one thread each, and returns how they went
-    in the order of ``jobs``; prints a line for each.
-
-    Those that took longest when last recorded begin first. done: called with every run as it ends.
-    """
+    jobs: Sequence[tuple[Path, Path]], environment: Mapping[str, str], *, done: Callable[[Run], object]
+) -> list[Run]:
+    """Runs notebooks (from, to) on as many processes as there are cores, one thread each, and returns how they went in
+    the order of ``jobs``; prints a line for each, and calls ``done`` with each as it ends. Those that took longest when
+    last recorded begin first."""
     environment, runs = ONE_THREAD | dict(environment), {}
     queue = sorted(jobs, key=lambda job: -float(findings.record_of(job[0]).provenance.get("smoke seconds", "inf")))
 
@@ -130,7 +127,7 @@ def run_side_by_side(
             done(run)
 
     async def everything() -> None:
-        await asyncio.gather(*(worker() for _ in range(min(processes or parallel.cores(), len(jobs)))))
+        await asyncio.gather(*(worker() for _ in range(min(parallel.cores(), len(jobs)))))
 
     asyncio.run(everything())
     return [runs[path] for path, _ in jobs]

@@ -95,12 +95,12 @@ def table(rows: Sequence[dict]) -> list[dict[str, object]]:
     for row in rows:
         theirs, ours = row["faithful"], row["shooting"]
         above, off = ([a - b for a, b in zip(theirs[n], ours[n], strict=True)] for n in ("energy", "error"))
-        found.append(
-            {"task": row["task"], "clips": len(above), "official schedule, s": theirs["seconds"],
-             "ours, s": ours["seconds"], "times": theirs["seconds"] / ours["seconds"],
-             "official ends higher on": sum(x > 0 for x in above), "farther on": sum(x > 0 for x in off),
-             "official, cm": sum(theirs["error"]) / len(off), "ours, cm": sum(ours["error"]) / len(off)}
-        )  # fmt: skip
+        found.append({
+            "task": row["task"], "clips": len(above), "official schedule, s": theirs["seconds"],
+            "ours, s": ours["seconds"], "times": theirs["seconds"] / ours["seconds"],
+            "official ends higher on": sum(x > 0 for x in above), "farther on": sum(x > 0 for x in off),
+            "official, cm": sum(theirs["error"]) / len(off), "ours, cm": sum(ours["error"]) / len(off),
+        })  # fmt: skip
     return found
 
 

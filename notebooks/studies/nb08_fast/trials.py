@@ -90,10 +90,9 @@ def prepare(
     views = evidence(observation, cameras=cameras)
     problem = Problem(views, priors, weights)
     unknown = testops.start_stage_1(problem)
+    work = {"inner": schedule.inner, "tolerance": schedule.tolerance}
     for stage in (1, 2):
-        unknown, _ = stages.stage_1_and_2(
-            problem, unknown, stage, steps=schedule.steps[stage - 1], inner=schedule.inner, tolerance=schedule.tolerance
-        )
+        unknown, _ = stages.stage_1_and_2(problem, unknown, stage, steps=schedule.steps[stage - 1], **work)
     with torch.no_grad():
         rough = unknowns.motion_of(unknowns.pose(unknown, priors, views), views.fps)
     unknown = unknown.detached()
@@ -188,9 +187,8 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
         terms = stages.motion_terms(task.problem.rows(rows), here, **short)
         if not short:
             log.note(sum(terms.values()), here)
-        return sum(
-            x for n, x in terms.items() if n not in ("contact_vel", "contact_height") or what.get("contacts", True)
-        )
+        kept = terms if what.get("contacts", True) else terms.keys() - {"contact_vel", "contact_height"}
+        return sum(x for n, x in terms.items() if n in kept)
 
     point = {n: x.clone().requires_grad_() for n, x in new.items()}
     with torch.no_grad():

@@ -51,9 +51,8 @@ def by_person(clips: Sequence[Clip], of: Callable[[Clip], Tensor]) -> Tensor:
 
 def chosen(clips: Sequence[Clip]) -> tuple[float, float]:
     """The temperature and the floor under which the truth of these people is likeliest."""
-    pairs = list(product(clips[0].drawn, FLOORS))
-    scores = [by_person(clips, lambda c, p=pair: deviations(c, *p)[1]).mean().item() for pair in pairs]
-    return pairs[scores.index(min(scores))]
+    pairs = product(clips[0].drawn, FLOORS)
+    return min(pairs, key=lambda pair: by_person(clips, lambda c: deviations(c, *pair)[1]).mean().item())
 
 
 def radius(clips: Sequence[Clip], heat: float, floor: float, level: float) -> float:
@@ -95,15 +94,7 @@ def ball(clip: Clip, size: float, count: int = 32) -> Tensor:
 def ball_size(clips: Sequence[Clip]) -> float:
     """The ball whose energy score is best on these people, metres."""
     sizes = torch.arange(0.01, 0.3, 0.01).tolist()
-    scores = [by_person(clips, lambda c, s=s: energy_score(ball(c, s), c.truth)).mean().item() for s in sizes]
-    return sizes[scores.index(min(scores))]
-
-
-def ellipsoid_draws(clip: Clip, heat: float, floor: float) -> Tensor:
-    """Draws (K, M, 3) from the Gaussian of a clip's draws with a floor."""
-    mean, factor = gaussian(clip, heat, floor)
-    noise = torch.randn(32, *mean.shape, 1, generator=torch.Generator().manual_seed(0))
-    return mean + (factor @ noise)[..., 0]
+    return min(sizes, key=lambda s: by_person(clips, lambda c: energy_score(ball(c, s), c.truth)).mean().item())
 
 
 def follows(clips: Sequence[Clip], heat: float, generator: torch.Generator) -> dict[str, tuple[float, float, float]]:
@@ -119,10 +110,8 @@ def follows(clips: Sequence[Clip], heat: float, generator: torch.Generator) -> d
     again = torch.stack([ranked(*pairs[torch.cat([rows[p] for p in pick])].mT) for pick in picks])
     low, high = again.nanquantile(torch.tensor([0.025, 0.975])).tolist()
     within = by_person(clips, lambda c: ranked(spread(c), c.error))
-    return {
-        "between clips": (ranked(*pairs.mT).item(), low, high),
-        "within a clip": interval(within, "mean", generator),
-    }
+    between = (ranked(*pairs.mT).item(), low, high)
+    return {"between clips": between, "within a clip": interval(within, "mean", generator)}
 
 
 def ranked(x: Tensor, y: Tensor) -> Tensor:
@@ -133,12 +122,18 @@ def ranked(x: Tensor, y: Tensor) -> Tensor:
 
 def ways(size: float, heat: float, floor: float) -> dict[str, Draw]:
     """Returns who draws places (K, M, 3) of a clip, by name."""
+
+    def regions(clip: Clip) -> Tensor:  # from the Gaussian of its draws, with a floor
+        mean, factor = gaussian(clip, heat, floor)
+        noise = torch.randn(32, *mean.shape, 1, generator=torch.Generator().manual_seed(0))
+        return mean + (factor @ noise)[..., 0]
+
     return {
         "the fit alone": lambda c: c.fit[None],
         "a ball of one size": lambda c: ball(c, size),
         "draws at T = 1": lambda c: c.drawn[1.0],
         f"draws at T = {heat:g}": lambda c: c.drawn[heat],
-        "regions of the tool": lambda c: ellipsoid_draws(c, heat, floor),
+        "regions of the tool": regions,
         "chapter 4's draws": lambda c: c.rival,
     }
 

@@ -25,9 +25,7 @@ class Dot(NamedTuple):
 
 def margin(test: Criterion, finding: Finding) -> float:
     """How far a value lies on the good side of its bound, in halves of its interval, at most ``FAR``; NaN: no value."""
-    way = finding.value - test.bound if test.relation == ">=" else test.bound - finding.value
-    if test.other is not None:  # the nearer end of the band
-        way = min(way, test.other - finding.value if test.relation == ">=" else finding.value - test.other)
+    way = min(finding.value - test.ends[0], test.ends[1] - finding.value)  # from the nearer end
     half = (finding.high - finding.low) / 2
     if not math.isfinite(way):
         return math.nan
@@ -62,8 +60,7 @@ def forest(groups: Mapping[str, Mapping[str, Sequence[Dot]]]) -> Figure:
     axis.set_xscale("symlog", linthresh=1.0)
     axis.set(xlim=(-1.2 * FAR, 1.2 * FAR), ylim=(len(lines) - 0.5, -0.5))
     axis.set_xticks([-100, -10, -1, 0, 1, 10, 100], ["-100", "-10", "-1", "0", "1", "10", "100"])
-    axis.set_xlabel(
-        "distance from the bound, in halves of the 95 % interval\nleft: does not hold; grey: open; right: holds"
-    )
+    far = "distance from the bound, in halves of the 95 % interval"
+    axis.set_xlabel(f"{far}\nleft: does not hold; grey: open; right: holds")
     axis.grid(visible=False)
     return figure
