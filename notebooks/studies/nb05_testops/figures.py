@@ -12,46 +12,37 @@ from matplotlib.figure import Figure
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from data_synth import scenes
+from data_synth.scenes import Scene
 from motionlab.body import BodyModel
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
-from motionlab.observation import BODY_25, Camera, Observation2D
-from motionlab.viz.movie import Mesh, meshes, overlay
+from motionlab.observation import BODY_25, Observation2D
+from motionlab.viz.movie import meshes, overlay
 from motionlab.viz.palette import INK, LINE, ROLE, colour
-from motionlab.viz.scene import Scene
+from motionlab.viz.scene import Scene as Stage
 from studies.nb05_testops.hard_cases import CMU, SYNTHETIC
 from studies.shared.plots import canvas, intervals, paints
 
 _WOOD, _SKIN = "#b9a88f", to_rgb("#d9cbbd")
 
 
-def through_the_camera(
-    truth: Motion, camera: Camera, layers: Mapping[str, tuple[str, Tensor, Tensor]], frame: int, *,
-    things: Sequence[Mesh], width: int, body: BodyModel | None = None,
-) -> np.ndarray:  # fmt: skip
-    """What the camera sees, once per layer, with keypoints drawn over it: pictures side by side (H, W, 3) uint8.
-
-    layers: label -> (role, pixels (T, 25, 2), confidence (T, 25)); the detections, or the landmarks of a fit. body:
-    shows its skin instead of the mannequin.
-    """
-    size = (width, round(width * camera.height / camera.width))
-    with Scene(size, camera=camera) as scene:
-        scene.floor()
+def seen_by(scene: Scene, label: str, frame: int, body: BodyModel | None = None, width: int = 620) -> np.ndarray:
+    """Draws what the first clip's camera sees at a frame, with the detections on it: (H, W, 3) uint8. body: shows its
+    skin instead of the mannequin."""
+    truth, camera, seen = scene.truth.clip(0), scene.cameras[0], scene.clip(0)
+    with Stage((width, round(width * camera.height / camera.width)), camera=camera) as stage:
+        stage.floor()
         if body is None:
-            scene.skeleton(truth, _SKIN, frame=frame)
+            stage.skeleton(truth, _SKIN, frame=frame)
         else:
-            scene.body(body, truth, "truth", frame=frame)
-        for vertices, faces in things:
-            scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD)
-        plain = scene.image()
-    drawn = []
-    for label, (role, pixels, confidence) in layers.items():
-        seen = Observation2D(pixels, confidence, BODY_25, truth.fps, camera)
-        picture = Image.fromarray(overlay(seen, plain, frame, role, width=3.5))
-        ImageDraw.Draw(picture).text((10, 8), label, fill=INK, font=ImageFont.load_default(15))
-        drawn.append(np.asarray(picture))
-    return np.concatenate(drawn, 1)
+            stage.body(body, truth, "truth", frame=frame)
+        for vertices, faces in meshes(scene.occluders[0]):
+            stage.mesh(vertices[0].numpy(), faces.numpy(), _WOOD)
+        plain = stage.image()
+    seen = Observation2D(seen.keypoints, seen.confidence, BODY_25, truth.fps, camera)
+    picture = Image.fromarray(overlay(seen, plain, frame, "observation", width=3.5))
+    ImageDraw.Draw(picture).text((10, 8), label, fill=INK, font=ImageFont.load_default(15))
+    return np.asarray(picture)
 
 
 def spectra(cases: Mapping[str, Mapping[str, Tensor]], edges: Sequence[float], *, roles: Mapping[str, str]) -> Figure:
@@ -126,23 +117,15 @@ def dose(found: Mapping[str, Mapping[str, Mapping[int, Tensor]]], ylabel: str) -
     return fig
 
 
-def seen_by(scene: scenes.Scene, label: str, frame: int, body: BodyModel) -> np.ndarray:
-    """Draws what the first clip's camera sees at a frame, with the detections on it."""
-    clip, things = scene.clip(0), meshes(scene.occluders[0])
-    layer = {label: ("observation", clip.keypoints, clip.confidence)}
-    how = {"things": things, "body": body, "width": 620}
-    return through_the_camera(scene.truth.clip(0), scene.cameras[0], layer, frame, **how)
-
-
 def wrists(motions: Mapping[str, Motion], roles: Mapping[str, str], body: BodyModel) -> np.ndarray:
     """Draws bodies at the end of their clips, and the way of both wrists, a panel each."""
-    with Scene((400 * len(motions), 420), panels=tuple(motions)).floor() as scene:
+    with Stage((400 * len(motions), 420), panels=tuple(motions)).floor() as stage:
         for panel, (label, motion) in enumerate(motions.items()):
             role = roles.get(label, label)
-            scene.body(body, motion, role, panel=panel)
+            stage.body(body, motion, role, panel=panel)
             for side in ("left", "right"):
-                scene.trail(motion, f"{side}_wrist", role, panel=panel)
-        return scene.image(60.0)
+                stage.trail(motion, f"{side}_wrist", role, panel=panel)
+        return stage.image(60.0)
 
 
 # ------------------------------------------------------------------------------------------------------------------ 05c

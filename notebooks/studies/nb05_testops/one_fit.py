@@ -4,11 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
-import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from data_synth import capture, scenes
+from data_synth import scenes
 from data_synth.scenes import Scene
 from motionlab.body import BodyModel
 from motionlab.contact import with_contacts
@@ -20,7 +19,6 @@ from motionlab.metrics import gait
 from motionlab.motion import Motion
 from motionlab.viz.movie import Mesh, stage
 from motionlab.viz.palette import ROLE
-from studies.shared.clips import stacked
 from studies.shared.plots import canvas
 
 #: The terms that a figure follows: label and role.
@@ -38,19 +36,14 @@ def weights_of(smoothness: float = 1.0, prior: float = 1.0, contact: float = 1.0
     return Weights(**usual | {name: tuple(f * w for w in usual[name]) for name, f in factor.items()})
 
 
-def filmed(motion: Motion, generator: torch.Generator) -> Scene:
+def filmed(motion: Motion, seed: int) -> Scene:
     """Films one motion (T,) of a person's own in plain view, its knees and feet hidden in the second half."""
-    motion = with_contacts(motion)
-    camera = capture.frame_motion(motion, generator)
-    seen = capture.observe(motion, BodyModel.from_anny(), camera, generator, ())
-    low = [seen.observation.names.index(n) for n in seen.observation.names if "knee" in n or "ankle" in n or "toe" in n]
-    confidence = seen.observation.confidence.clone()
-    confidence[motion.frames // 2 :, low] = 0.0
-    one = stacked([replace(seen.observation, confidence=confidence)], camera=None)
-    return Scene(
-        motion.name, scenes.together([motion]), one, (camera,), one.keypoints,
-        scenes.joints_seen(one.visible, motion.skeleton.names), torch.zeros_like(one.visible), ((),),
-    )  # fmt: skip
+    scene = scenes.film_recorded("plain view", [with_contacts(motion)], seed=seed)
+    seen, confidence = scene.observation, scene.observation.confidence.clone()
+    low = [k for k, name in enumerate(seen.names) if "knee" in name or "ankle" in name or "toe" in name]
+    confidence[:, motion.frames // 2 :, low] = 0.0
+    seen = replace(seen, confidence=confidence)
+    return replace(scene, observation=seen, seen=scenes.joints_seen(seen.visible, motion.skeleton.names))
 
 
 def fitted(
