@@ -177,12 +177,10 @@ def judge(test: Criterion, low: float, high: float, n: int) -> str:
 
 @dataclass(frozen=True)
 class Record:
-    """What one full run of one notebook found: ``results/NN.json``.
-
-    fingerprint: what the smoke profile of the same notebook measures (``staleness``), and what more or else it measures
-    on recordings. weights: checksums of the checkpoints that it loads. recordings: of the lists of recordings, by
-    source. Both as they were when the fingerprint was taken.
-    """
+    """What one full run of one notebook found: ``results/NN.json``. fingerprint: what the smoke profile of the same
+    notebook measures (``staleness``), and what more or else it measures on recordings. weights: checksums of the
+    checkpoints that it loads. recordings: of the lists of recordings, by source. Both as they were when the fingerprint
+    was taken."""
 
     notebook: str
     source_hash: str

@@ -46,11 +46,9 @@ class Picture:
 
 
 def read(notebook: Path, out: Path) -> SimpleNamespace:
-    """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media.
-
-    Returns its name, number and title; question, answer, the points that its first cell makes in bold, and body as
-    HTML; pictures, and the one for its card: the first film, else the first.
-    """
+    """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media. Returns its name,
+    number and title; question, answer, the points that its first cell makes in bold, and body as HTML; pictures, and
+    the one for its card: the first film, else the first."""
     import nbformat  # takes seconds to load
 
     (out / "media").mkdir(parents=True, exist_ok=True)

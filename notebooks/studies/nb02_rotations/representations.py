@@ -17,12 +17,10 @@ from motionlab import rotation
 
 @dataclass(frozen=True)
 class Representation:
-    """A parameterisation of rotations: encode (..., 3, 3) -> (..., P) and back.
-
-    tidy: takes the freedom out of parameters that is not rotation (the lengths of 6D vectors and quaternions) without
-    choosing a branch. A smoothness term on raw 6D numbers shrinks them to nothing, where each small change is any
-    rotation at all; on tidy numbers it cannot.
-    """
+    """A parameterisation of rotations: encode (..., 3, 3) -> (..., P) and back. tidy: takes the freedom out of
+    parameters that is not rotation (the lengths of 6D vectors and quaternions) without choosing a branch. A smoothness
+    term on raw 6D numbers shrinks them to nothing, where each small change is any rotation at all; on tidy numbers it
+    cannot."""
 
     name: str
     encode: Callable[[Tensor], Tensor]
@@ -83,12 +81,9 @@ def excess_rotation(filled: Tensor, gap: int) -> Tensor:
 
 
 def carried_and_decoded(root: Tensor) -> tuple[Tensor, Tensor]:
-    """Computes the two rotation vectors of one root (..., T, 3, 3) that the thesis compares, both (..., T, 3).
-
-    carried: continuous in time, as an optimiser holds it in the world frame. decoded: the same rotation
-    turned into the root-local heading frame, and back, and only then written as a vector.
-    Source: thesis 3.3.2, first issue.
-    """
+    """Computes the two rotation vectors of one root (..., T, 3, 3) that the thesis compares, both (..., T, 3). carried:
+    continuous in time, as an optimiser holds it in the world frame. decoded: the same rotation turned into the
+    root-local heading frame, and back, and only then written as a vector."""
     heading = rotation.rotation_about("z", -rotation.yaw(root))
     world = heading.mT @ (heading @ root)
     return rotation.unroll_axis_angle(rotation.matrix_to_axis_angle(root)), rotation.matrix_to_axis_angle(world)

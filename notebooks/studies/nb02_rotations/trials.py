@@ -66,10 +66,8 @@ def means(values: Tensor, whose: Tensor, among: Tensor | None = None) -> Tensor:
 
 # ----------------------------------------------------------------------------------------------- where the cut is
 def degrees_from_cut(people: People) -> Tensor:
-    """Computes how far (N,) every frame's rotation vector is from the cut in HuMoR's heading frame, degrees.
-
-    Source: HuMoR's canonical frame, where the body faces +y; the cut lies at an angle of 180 degrees.
-    """
+    """Computes how far (N,) every frame's rotation vector is from the cut, an angle of 180 degrees, in HuMoR's heading
+    frame, where the body faces +y: degrees."""
     path = torch.cat([root.float() for roots in people.values() for root in roots])
     local = rotation.rotation_about("z", -rotation.yaw(path)) @ path
     return 180 - torch.rad2deg(rotation.matrix_to_axis_angle(local).norm(dim=-1))
@@ -156,12 +154,10 @@ def shares(
 # ---------------------------------------------------------------------------------------------------------- flips
 @dataclass(frozen=True, eq=False)
 class Flips:
-    """How often carried and decoded vectors of one root disagree, one number per person (P,).
-
-    per_minute: changes between agreement and disagreement. midpoint_deg (of people with a flip): median over the
-    flipped frames of how far the average of the two vectors is from the rotation. sixd_*: the same for 6D. example
-    (T, 3, 3): the root with the most flips.
-    """
+    """How often carried and decoded vectors of one root disagree, one number per person (P,). per_minute: changes
+    between agreement and disagreement. midpoint_deg (of people with a flip): median over the flipped frames of how far
+    the average of the two vectors is from the rotation. sixd_*: the same for 6D. example (T, 3, 3): the root with the
+    most flips."""
 
     per_minute: Tensor
     sixd_per_minute: Tensor
@@ -222,7 +218,6 @@ def compare_consistency(
         fit: carried (N, T, P), decoded (N, T, P) to the fitted parameters.
         each: clips of a person at most.
         noise_deg: the decoder's error per axis and frame; an arm that starts at its optimum proves nothing.
-    Source: thesis 3.3.1 (loss term) and 3.3.2.
     """
     length = round(seconds * FPS)
     path, whose = cut_windows(at_random_heading(people, generator), length, length)

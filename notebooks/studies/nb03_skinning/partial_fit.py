@@ -30,12 +30,10 @@ STEP = {"lbfgs": 1.0, "adam": 0.02}
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One person, or several (...), of whom the left arm and the face are seen by one camera.
-
-    arm, legs: indices of their joints. face: vertices of the mesh. observed: pixels (..., T, 8, 2), the arm's first, of
-    a body without faults: joints by kinematics, face vertices moved rigidly with the head. theta, root: where a fit
-    starts, every joint at rest and the root in its place; theta (..., T, J, 6) in 6D.
-    """
+    """One person, or several (...), of whom the left arm and the face are seen by one camera. arm, legs: indices of
+    their joints. face: vertices of the mesh. observed: pixels (..., T, 8, 2), the arm's first, of a body without
+    faults: joints by kinematics, face vertices moved rigidly with the head. theta, root: where a fit starts, every
+    joint at rest and the root in its place; theta (..., T, J, 6) in 6D."""
 
     body: BodyModel
     camera: Camera
@@ -100,8 +98,6 @@ def fit(
     Args:
         lr: step length; by default that of ``STEP``.
         budgets: numbers of closures after which the legs are measured too; those beyond the end repeat it.
-
-    Source: thesis 3.3.2, second issue.
     """
     rest, seen, calls = _legs_in_pelvis(case, case.theta), {}, 0
     lowest = torch.full(case.theta.shape[:-3], torch.inf)

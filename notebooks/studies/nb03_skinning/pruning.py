@@ -9,7 +9,7 @@ from torch import Tensor
 from motionlab import skinning
 from motionlab.body import BodyModel, lbs
 from motionlab.motion import Motion
-from motionlab.observation import Camera, look_at
+from motionlab.observation import look_at
 from motionlab.skeleton import fk
 from motionlab.viz.scene import Scene
 from studies.nb03_skinning.partial_fit import LEGS, leak_percent
@@ -67,19 +67,15 @@ def moved_by_legs(bodies: Mapping[str, BodyModel], pose: Motion) -> np.ndarray:
     """
     fields = {name: moved_by_mm(body, pose, LEGS) for name, body in bodies.items()}
     look, rows = {"frame": 0, "title": "mm per rad", "limits": (0.0, 2.0), "cmap": "Oranges"}, []
-    for eye in (None, _before_the_face(pose, round(960 / len(bodies)), 420)):
+    head, world = (x[0, pose.skeleton.index("head")] for x in fk(pose.skeleton, pose.root, pose.rot))
+    face = head + world @ torch.tensor([0.0, 0.05, 0.0])
+    before = face + world @ torch.tensor([-0.5, 0.1, 1.4])
+    for eye in (None, look_at(before, face, focal=3.0 * 420, width=round(960 / len(bodies)), height=420)):
         with Scene((960, 420), panels=tuple(bodies) if eye is None else ("",) * len(bodies), camera=eye) as scene:
             for panel, (name, field) in enumerate(fields.items()):
                 scene.body(bodies[name], pose, field=field, panel=panel, **look)
             rows.append(scene.floor().image())
     return np.concatenate(rows)
-
-
-def _before_the_face(pose: Motion, width: int, height: int) -> Camera:
-    head, world = (x[0, pose.skeleton.index("head")] for x in fk(pose.skeleton, pose.root, pose.rot))
-    face = head + world @ torch.tensor([0.0, 0.05, 0.0])
-    eye = face + world @ torch.tensor([-0.5, 0.1, 1.4])
-    return look_at(eye, face, focal=3.0 * height, width=width, height=height)
 
 
 def sweep(

@@ -109,7 +109,7 @@ def difference(found: Tensor, golden: Tensor) -> float:
 def parity_rows(folder: Path | str) -> list[Row]:
     """Every comparison of states, networks and roll-outs; ``folder`` holds the golden files (``tests/golden``)."""
     golden = Golden(folder)
-    rows = [*_geometry(golden), *_frames(golden)]
+    rows = [*_frames(golden)]
     for alternative in (False, True):
         rows += _networks(golden, seeded(alternative), "alt_" if alternative else "")
     return rows
@@ -203,14 +203,11 @@ def gradients(
     return {"grad_loss": loss.detach(), "grad_z": by_z} | by_part
 
 
-def _geometry(golden: Golden) -> Iterator[Row]:
+def _frames(golden: Golden) -> Iterator[Row]:
     aa, matrix = golden["rot_aa_in"], golden["rot_mat_from_aa"]
     yield _row(golden, "rot_mat_from_aa", "official", official_rotation.axis_angle_to_matrix(aa))
     yield _row(golden, "rot_aa_from_mat", "official", official_rotation.matrix_to_axis_angle(matrix))
     yield _row(golden, "w2a_from_root_mat", "official", official_rotation.alignment(matrix))
-
-
-def _frames(golden: Golden) -> Iterator[Row]:
     worlds = golden.states("world_")
     yield _row(golden, "vel_lin", "lean", velocity(state.unpack(worlds)["trans"], 30.0, dim=1))
     turns = golden["world_root_orient"].unflatten(-1, (3, 3))

@@ -34,7 +34,6 @@ def accumulation(model: Cvae, truth: Motion) -> Tensor:
     return pose.joint_errors(found, truth.positions, align="root").mean(-1)
 
 
-# ---------------------------------------------------------------------------------------- poses and steps
 def moment(truth: Motion) -> Tensor:
     """Finds the first or the last ten frames (B, T) of each clip, whichever have the pelvis lower."""
     height, when = truth.root[..., 2], torch.zeros(truth.root.shape[:-1], dtype=torch.bool)
@@ -61,7 +60,6 @@ def error_over_time(fit: Motion, truth: Motion, align: str = "root") -> Tensor:
     return pose.joint_errors(fit.positions, truth.positions, align=align).mean(-1)
 
 
-# ----------------------------------------------------------------------------------------------------- smoothness
 def _about_pelvis(motion: Motion) -> Tensor:
     return motion.positions - motion.positions[..., :1, :]
 

@@ -37,7 +37,6 @@ WAYS: dict[str, dict[str, object]] = {
 ROLES = {"truth": "truth", "lean": "ours", "official": "baseline", "official, not smooth": "axis-angle"}
 SAID = {"first 1": "first frame", "middle 1": "middle frame", "first 10": "first 10 frames"}
 HOW = "official unknowns, start and masks at the lean price"
-Refit = Callable[..., Fitted]
 #: Fits, and what missing frames add to their error (B,), by way, source and variant.
 Fits, Added = Mapping[tuple[str, str, str], CaseFit], Mapping[tuple[str, str, str], Tensor]
 
@@ -91,7 +90,7 @@ def fitted(
     return trials.fit_together(cases, priors, batch=len(cases[next(iter(cases))]), schedule=schedule, **WAYS[way])
 
 
-def refits(one: Scene, priors: Priors, schedule: Schedule) -> Refit:
+def refits(one: Scene, priors: Priors, schedule: Schedule) -> Callable[..., Fitted]:
     """Returns a function that fits a scene of one clip anew, by form, smoothness and missing frames; it remembers."""
 
     @cache

@@ -42,12 +42,10 @@ HOW = ("known", "level", "assumed")  # what a fit may know of the camera
 
 
 class Views(NamedTuple):
-    """Several cameras' keypoints of the same seconds, and where the joints were.
-
-    observation: (G, T, 25, 2) of BODY_25, 30 fps. cameras: calibrated, one per view; None: nothing is known. names: of
-    the views. reference (T, 12, 3): metres, world of the cameras, joints of ``COMPARED``; None: there is none.
-    pictures: of each view, frame by frame. size: of its image where there is no camera, pixels.
-    """
+    """Several cameras' keypoints of the same seconds, and where the joints were. observation: (G, T, 25, 2) of BODY_25,
+    30 fps. cameras: calibrated, one per view; None: nothing is known. names: of the views. reference (T, 12, 3):
+    metres, world of the cameras, joints of ``COMPARED``; None: there is none. pictures: of each view, frame by frame.
+    size: of its image where there is no camera, pixels."""
 
     observation: Observation2D
     cameras: list[Camera] | None

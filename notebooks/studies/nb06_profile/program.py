@@ -69,14 +69,11 @@ class Closure:
         return stages.rolled_terms(self.problem, self.unknown, Rolled(*chain[:2], people))
 
 
-Timed = Callable[[Closure, Stopwatch], Tensor]  # energies (B,)
-
-
 class Bars:
     """Bars of closures that were tried, the newest below: what the knobs of the notebook turn. timed: runs a closure
     step by step, a stopwatch around each."""
 
-    def __init__(self, clip: Motion, priors: Priors, timed: Timed, noise: Callable[[object], Noise]) -> None:
+    def __init__(self, clip: Motion, priors: Priors, timed: Callable, noise: Callable[[object], Noise]) -> None:
         self.clip, self.priors, self.timed, self.noise = clip, priors, timed, noise
         self.tried: dict[str, dict[str, float]] = {}
 

@@ -10,7 +10,6 @@ from torch import Tensor
 from motionlab.viz.palette import INK, LINE, colour
 from studies.shared.plots import canvas, median_band, paints
 
-Cost = Mapping[tuple[str, int, int | None], Tensor]
 #: A method's role in every figure.
 ROLES = {
     "one chain": "stage3", "whole roll-outs": "stage3", "cut": "ours", "cut, springs 100": "ours",
@@ -48,7 +47,7 @@ def walkers(
     return figure
 
 
-def costs(seconds: Cost) -> Figure:
+def costs(seconds: Mapping[tuple[str, int, int | None], Tensor]) -> Figure:
     """Milliseconds of an evaluation, a panel per form and batch: the roll-out and K steps, median and quartiles, and
     the roll-out's time over each. seconds: (form, clips, K or None) -> (n,)."""
     panels = list(dict.fromkeys((form, clips) for form, clips, _ in seconds))

@@ -24,13 +24,10 @@ Number = float | Tensor  # one, or one per clip (B,)
 
 @dataclass(frozen=True)
 class Plan:
-    """What moves and how.
-
-    form: the energy; its weight is 0 where ``share`` says that x is overwritten. moving: ``X``, ``Z`` or ``BOTH``.
-    rate: Adam's steps, of z in the latent's units, of x in metres, metres per second and entries of 6D.
-    share: after every step x_t becomes (1 - share) x_t + share x^1_t for t > 0: 1 copies, between 0 and 1 blends.
-    held: the first state does not move. turns: z alone, then x alone, so often.
-    """
+    """What moves and how. form: the energy; its weight is 0 where ``share`` says that x is overwritten. moving: ``X``,
+    ``Z`` or ``BOTH``. rate: Adam's steps, of z in the latent's units, of x in metres, metres per second and entries of
+    6D. share: after every step x_t becomes (1 - share) x_t + share x^1_t for t > 0: 1 copies, between 0 and 1 blends.
+    held: the first state does not move. turns: z alone, then x alone, so often."""
 
     form: Form = field(default_factory=Form)
     moving: tuple[str, ...] = BOTH
@@ -117,11 +114,8 @@ def _like(value: Number, x: Tensor) -> Tensor:
 
 
 def _in_turns(problem: Problem, start: Unknown, plan: Plan, evaluations: int) -> Found:
-    """Flip-flop: a block of evaluations with x fixed, as many with z fixed, and so on.
-
-    A clip whose energy a block has not lowered goes back to where it was.
-    Source: thesis 3.3.3, "flip flop optimising z_{1:T} then x_{0:T}".
-    """
+    """Flip-flop: a block of evaluations with x fixed, as many with z fixed, and so on. A clip whose energy a block has
+    not lowered goes back to where it was."""
     now, spent = {n: x.detach().clone() for n, x in start.items()}, 0.0
     before = _energy(problem, now, plan.form)
     for turn in range(2 * plan.turns):

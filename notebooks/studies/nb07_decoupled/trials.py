@@ -109,12 +109,10 @@ def energy(known: Case, unknown: Unknown) -> dict[str, Tensor]:
 
 
 def judged(known: Case, unknown: Unknown, frames: int | None = None) -> dict[str, Tensor]:
-    """Measures (B,) of what was found, of the exact roll-out and, "x ...", of the persistent states.
-
-    "energy": of stage 3, nats. "error": of the joints in the world, cm. "legs": of knees, ankles and feet, pelvis on
-    the true one, cm. "sits": 1 where somebody sits in the last ten frames. "gap": between the two, joints, cm.
-    "first legs": as "x legs", of the first ``frames``, which clips of two lengths share.
-    """
+    """Measures (B,) of what was found, of the exact roll-out and, "x ...", of the persistent states. "energy": of stage
+    3, nats. "error": of the joints in the world, cm. "legs": of knees, ankles and feet, pelvis on the true one, cm.
+    "sits": 1 where somebody sits in the last ten frames. "gap": between the two, joints, cm. "first legs": as "x legs",
+    of the first ``frames``, which clips of two lengths share."""
     x, rolled = motions(known, unknown).values()
     end = torch.zeros(rolled.root.shape[:-1], dtype=torch.bool)
     end[:, -10:] = True

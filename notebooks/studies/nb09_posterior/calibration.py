@@ -24,7 +24,6 @@ CM = 100.0
 Asked = Mapping[str, Sequence[Clip]]  # clips of people, by who they are
 Draw = Callable[[Clip], Tensor]  # from a clip to draws (K, M, 3)
 Score = Callable[[Tensor, Clip], Tensor]  # from those and the clip to a number for each place, or one
-Kind = tuple[float, float, Mapping[float, float]]  # of region: temperature, floor, and by level how many deviations
 Seeds = Callable[[str], torch.Generator]
 
 
@@ -178,8 +177,9 @@ def compared(asked: Asked, ways_: Mapping[str, Draw], of: Score) -> dict[str, di
     }
 
 
-def promised(asked: Asked, kinds: Mapping[str, Kind]) -> dict[str, dict[str, dict[float, Tensor]]]:
-    """Computes by source, kind of region and level the share (P,) of each person's places that were held."""
+def promised(asked: Asked, kinds: Mapping[str, tuple]) -> dict[str, dict[str, dict[float, Tensor]]]:
+    """Computes by source, kind of region and level the share (P,) of each person's places that were held. kinds: by
+    name temperature, floor, and by level how many deviations."""
     return {
         people: {name: {x: held(clips, t, f, wide[x]) for x in LEVELS} for name, (t, f, wide) in kinds.items()}
         for people, clips in asked.items()

@@ -52,12 +52,10 @@ def denoise(
     model: MotionDiffusion, noisy: Motion, rough: Motion, noise: Noise, generator: torch.Generator,
     start: ReverseProcess,
 ) -> Motion:  # fmt: skip
-    """Computes denoised motions (B, T), where they were in the world, by the reverse process.
-
-    It begins at the step with the same noise. rough: about the same motions, as a filter leaves them: the frame of
-    reference is that of its first frame, contacts are measured on it. A model that takes known values gets none; one of
-    velocities, whose noise is not the joints', is none for this.
-    """
+    """Computes denoised motions (B, T), where they were in the world, by the reverse process. It begins at the step
+    with the same noise. rough: about the same motions, as a filter leaves them: the frame of reference is that of its
+    first frame, contacts are measured on it. A model that takes known values gets none; one of velocities, whose noise
+    is not the joints', is none for this."""
     size = noise_size(model.layout, model.normaliser, noise.turn, noise.shift)
     whole = size[size > 0].square().mean().sqrt().item() * start.level
     frame = stuck_root(rough)[1] if model.layout.frame == "stuck" else None

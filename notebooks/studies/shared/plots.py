@@ -7,7 +7,6 @@ whose label names a role has its colour, others take theirs from ``roles`` (labe
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import torch
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,7 +14,6 @@ from torch import Tensor
 
 from motionlab.viz.palette import INK, LINE, ROLE, colour
 
-Series = Mapping[str, torch.Tensor | np.ndarray | Sequence[float]]
 _STYLE = {
     "font.size": 10, "font.family": "DejaVu Sans", "axes.titlesize": 10.5, "axes.titlelocation": "left",
     "axes.labelsize": 10, "axes.labelcolor": INK, "axes.edgecolor": LINE, "axes.linewidth": 1.0,
@@ -101,7 +99,7 @@ def intervals(
     return fig, axes
 
 
-def boxes(series: Series, *, xlabel: str, roles: Mapping[str, str] | None = None) -> Figure:
+def boxes(series: Mapping[str, Sequence[float]], *, xlabel: str, roles: Mapping[str, str]) -> Figure:
     """Draws one distribution per source on its own line: its density, the middle half as a bar, the median as a dot."""
     found = {label: x[np.isfinite(x)] for label, x in ((n, np.asarray(y, float)) for n, y in series.items())}
     paint = paints(list(found), roles)
