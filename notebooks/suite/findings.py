@@ -21,6 +21,8 @@ from suite.staleness import Fingerprint, Mark
 
 HOLDS, FAILS, UNJUDGED = "holds", "does not hold", "cannot be judged here"
 ROLES = ("claim", "control", "apparatus", "beyond")
+_NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure
+_FINGERPRINTS = ("fingerprint", "fingerprint_on_recordings")
 
 
 @dataclass(frozen=True)
@@ -209,10 +211,6 @@ class Record:
         """Lists how a smoke run differs from this record, a phrase each."""
         other = [f"{n} are other weights" for n, digest in self.weights.items() if now.weights.get(n, digest) != digest]
         return other + staleness.differences(self.expected(now.recordings), now.fingerprint)
-
-
-_NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure
-_FINGERPRINTS = ("fingerprint", "fingerprint_on_recordings")
 
 
 def save_record(path: Path | str, record: Record) -> None:

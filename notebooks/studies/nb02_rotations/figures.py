@@ -83,18 +83,12 @@ def excess(gaps: Mapping[str, Gaps], filled: Mapping[tuple[str, str], Tensor]) -
     return fig
 
 
-def liveliest(root: Tensor) -> Tensor:
-    """Cuts out the 12 s of a root (T, 3, 3) in which carried and decoded vectors change sides most often."""
-    carried, decoded = rep.carried_and_decoded(root)
-    mask, length = rep.flipped(carried, decoded), min(round(12 * FPS), len(root))
-    changes = (mask[1:] != mask[:-1]).float().unfold(0, length - 1, 1).sum(-1)
-    start = int(changes.argmax())
-    return root[start : start + length]
-
-
 def carried_and_decoded(root: Tensor) -> Figure:
-    """Draws the two vectors of one root (T, 3, 3) over time, and how far their midpoint is off."""
-    root = liveliest(root)
+    """Draws the two vectors of one root (T, 3, 3), and how far their midpoint is off, over the 12 s in which they
+    change sides most often."""
+    mask, length = rep.flipped(*rep.carried_and_decoded(root)), min(round(12 * FPS), len(root))
+    start = int((mask[1:] != mask[:-1]).float().unfold(0, length - 1, 1).sum(-1).argmax())
+    root = root[start : start + length]
     carried, decoded = rep.carried_and_decoded(root)
     time = torch.arange(len(root)) / FPS
     fig, axes = canvas(2, 1, size=(11.0, 5.0), sharex=True)

@@ -22,6 +22,8 @@ from studies.nb02_rotations import representations as rep
 from studies.nb02_rotations.representations import AXIS_ANGLE, SIXD, UNROLLED
 
 People = Mapping[str, Sequence[Tensor]]
+#: The arms of the consistency experiment: a representation, and whether the decoded vector is rewritten first.
+ARMS = {"axis-angle": (AXIS_ANGLE, False), "axis-angle, nearest vector": (UNROLLED, True), "6D": (SIXD, False)}
 
 
 # ------------------------------------------------------------------------------------------------------- material
@@ -202,10 +204,6 @@ class Consistency:
     def ruined(self, arm: str, *, flipped: bool = True) -> Tensor:
         """Computes each person's share of clips, with or without a flip, that end more than 30 degrees off."""
         return means(self.worst_deg[arm] > 30, self.whose, self.flipped == flipped)
-
-
-#: The arms of the consistency experiment: a representation, and whether the decoded vector is rewritten first.
-ARMS = {"axis-angle": (AXIS_ANGLE, False), "axis-angle, nearest vector": (UNROLLED, True), "6D": (SIXD, False)}
 
 
 def compare_consistency(

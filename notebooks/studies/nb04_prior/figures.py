@@ -16,6 +16,24 @@ from studies.nb04_prior.parity import Row
 from studies.shared.plots import canvas, median_band, paints
 from suite.findings import Criterion
 
+#: Of two seconds that are chained (:func:`drift.ways_of_two_seconds`).
+WAYS = {
+    "the person": "truth", "z known, closed loop": "ours", "z known, open loop": "axis-angle",
+    "prior's mean alone": "quaternion",
+}  # fmt: skip
+#: Gates in centimetres, in the order of the chains that they judge.
+_IN_CM = ("closed_loop", "open_loop", "foresight")
+#: Of how decoded motion drifts.
+DRIFT_ROLES = {
+    "one step, z": "6d", "chain, z": "axis-angle", "single errors added": "axis-angle", "closed loop": "ours",
+    "chain, prior's mean": "quaternion", "held pose": "observation",
+}  # fmt: skip
+#: Ways of decoding a sit, and their colours.
+KNEE_ROLES = {
+    "the sequence itself": "stage2", "one by one, z": "6d", "one by one, prior's mean": "ours",
+    "rolled out, z": "axis-angle", "rolled out, prior's mean": "quaternion",
+}  # fmt: skip
+
 
 def parity(rows: Sequence[Row]) -> Figure:
     """Error of every array, sorted, over its tolerance; the official formulas apart from the lean ones."""
@@ -46,15 +64,6 @@ def continuation(samples: Motion, person: Motion, body: BodyModel) -> np.ndarray
             for way in range(len(samples.root)):
                 scene.body(body, samples.clip(way), "ours", frame=frame, opacity=0.25, shadow=0, panel=panel)
         return scene.floor().image()
-
-
-#: Of two seconds that are chained (:func:`drift.ways_of_two_seconds`).
-WAYS = {
-    "the person": "truth", "z known, closed loop": "ours", "z known, open loop": "axis-angle",
-    "prior's mean alone": "quaternion",
-}  # fmt: skip
-#: Gates in centimetres, in the order of the chains that they judge.
-_IN_CM = ("closed_loop", "open_loop", "foresight")
 
 
 def gates(
@@ -105,13 +114,6 @@ def _ends(ways: Mapping[str, Motion], body: BodyModel) -> list[np.ndarray]:
         return np.split(scene.floor().image(), len(ways), axis=1)
 
 
-#: Of how decoded motion drifts.
-DRIFT_ROLES = {
-    "one step, z": "6d", "chain, z": "axis-angle", "single errors added": "axis-angle", "closed loop": "ours",
-    "chain, prior's mean": "quaternion", "held pose": "observation",
-}  # fmt: skip
-
-
 def drift(panels: Mapping[str, Mapping[str, Tensor]]) -> Figure:
     """Draws joint error in cm (N, T) over time, a panel per source: medians over clips and quartiles, logarithmic."""
     rows, columns = -(-len(panels) // 3), min(3, len(panels))
@@ -129,13 +131,6 @@ def drift(panels: Mapping[str, Mapping[str, Tensor]]) -> Figure:
     fig.supylabel("joint error (cm, log)", fontsize=10)
     fig.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
     return fig
-
-
-#: Ways of decoding a sit, and their colours.
-KNEE_ROLES = {
-    "the sequence itself": "stage2", "one by one, z": "6d", "one by one, prior's mean": "ours",
-    "rolled out, z": "axis-angle", "rolled out, prior's mean": "quaternion",
-}  # fmt: skip
 
 
 def knees(groups: Mapping[str, Mapping[str, Tensor]]) -> Figure:

@@ -36,6 +36,13 @@ WHY = {
 }  # fmt: skip
 F64 = torch.float64
 _OFFICIAL = state.OFFICIAL_ORDER.argsort()  # ours[..., _OFFICIAL] are official states
+#: Tests of H01: the name, the form, the arrays, and what is broken on purpose beside them ("": the other form).
+TESTS = (
+    ("nets", "lean", ("encoder_raw", "prior_raw", "decoder_raw", "kl_posterior", "alt_encoder", "alt_prior",
+                      "alt_decoder"), "decoder_raw"),
+    ("rollout", "lean", ("decode_out", "fwd_", "infer_", "roll_", "rollmean_", "rollworld_"), "roll_*"),
+    ("faithful", "official", ("alt_roll", "alt_infer"), ""),
+)  # fmt: skip
 
 
 class Row(NamedTuple):
@@ -120,15 +127,6 @@ def _row(golden: Golden, arrays: str, form: str, found: Tensor, limit: float = E
     expected = golden.states(arrays[:-1]) if arrays.endswith("*") else golden[arrays]
     why = WHY.get(arrays, "") if form == "lean" else ""
     return Row(arrays, form, difference(found, expected), limit, why)
-
-
-#: Tests of H01: the name, the form, the arrays, and what is broken on purpose beside them ("": the other form).
-TESTS = (
-    ("nets", "lean", ("encoder_raw", "prior_raw", "decoder_raw", "kl_posterior", "alt_encoder", "alt_prior",
-                      "alt_decoder"), "decoder_raw"),
-    ("rollout", "lean", ("decode_out", "fwd_", "infer_", "roll_", "rollmean_", "rollworld_"), "roll_*"),
-    ("faithful", "official", ("alt_roll", "alt_infer"), ""),
-)  # fmt: skip
 
 
 def chosen(rows: Sequence[Row], form: str, starts: tuple[str, ...]) -> list[float]:

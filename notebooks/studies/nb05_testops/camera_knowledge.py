@@ -25,6 +25,8 @@ from studies.nb05_testops.measures import CM
 
 TILT, RISE = 3.0, 0.05  # standard deviations, degrees and metres, of a camera that was placed by eye
 Methods = Mapping[str, Mapping[str, Tensor]]  # method -> measure -> numbers (P,)
+_HEADS = {"own bones": "on its own bones, cm", "place": "place, cm", "ratio": "pixels / truth's",
+          "acceleration": "acceleration off, m/s²"}  # fmt: skip
 
 
 def placed_by_eye(camera: Camera, generator: torch.Generator) -> Camera:
@@ -103,10 +105,6 @@ def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
     found |= {"ratio": px / misses(scene.pixels, scene.observation)}
     found |= {"acceleration": pose.acceleration_error(p, t, scene.truth.fps)}
     return {name: shot.people.mean(values) for name, values in found.items()}
-
-
-_HEADS = {"own bones": "on its own bones, cm", "place": "place, cm", "ratio": "pixels / truth's",
-          "acceleration": "acceleration off, m/s²"}  # fmt: skip
 
 
 def score_rows(plain: Mapping[str, Methods], generator: torch.Generator) -> list[dict[str, object]]:

@@ -28,6 +28,10 @@ from studies.nb05_testops.filmed_people import People
 from studies.nb05_testops.measures import CM
 from studies.shared import joints
 
+#: What a test is judged by, and the names of its duels in ``claims.toml``.
+JUDGED = {"noise": "all cm", "low joints hidden": "hidden cm"}
+SHOWN = ("tuned stage 2", "stage 3")
+
 
 def laid(observation: Observation3D, rest: Tensor) -> Tensor:
     """The mean pose (22, 3), root at the origin, laid onto what is seen: positions (B, T, 66), metres. Where a joint
@@ -162,11 +166,6 @@ def rows_of_figure(found: Tried) -> tuple[list[dict[str, dict[str, Tensor]]], tu
         for which, measure in shown.values()
     ]  # fmt: skip
     return rows, tuple(shown)
-
-
-#: What a test is judged by, and the names of its duels in ``claims.toml``.
-JUDGED = {"noise": "all cm", "low joints hidden": "hidden cm"}
-SHOWN = ("tuned stage 2", "stage 3")
 
 
 def duels(sources: Mapping[str, object]) -> list[tuple[str, str, str, str]]:

@@ -25,6 +25,7 @@ from studies.shared.plots import canvas
 TERMS = {"joints2d": ("keypoints", "observation"), "joints3d_smooth": ("smoothness", "stage2"),
          "motion_prior": ("motion prior", "stage3")}  # fmt: skip
 Watched = list[tuple[int, dict[str, float]]]
+ROLES = {"stage 1": "observation", "stage 2": "stage2", "stage 3": "stage3"}
 
 
 def weights_of(smoothness: float = 1.0, prior: float = 1.0, contact: float = 1.0) -> Weights:
@@ -107,9 +108,6 @@ def rows_of(found: Mapping[str, Fitted], scene: Scene, stages: Sequence[int]) ->
 def panels(fit: Fitted, scene: Scene, stages: Sequence[int] = (1, 2, 3)) -> dict[str, Motion]:
     """Returns the truth and the stages of a fit of one clip, as a film shows them."""
     return {"truth": scene.truth.clip(0)} | {f"stage {k}": fit.stages[k].clip(0) for k in stages}
-
-
-ROLES = {"stage 1": "observation", "stage 2": "stage2", "stage 3": "stage3"}
 
 
 def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float, *, things: Sequence[Mesh] = ()) -> np.ndarray:

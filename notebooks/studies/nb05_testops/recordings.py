@@ -39,6 +39,8 @@ COMPARED = {
 _ROWS = [BODY_25.index(name) for name in COMPARED]
 HIPS = [list(COMPARED).index(f"{side}_hip") for side in ("left", "right")]
 HOW = ("known", "level", "assumed")  # what a fit may know of the camera
+_HEADS = {"px": "pixels off", "root": "pose, cm", "global": "in the room, cm",
+          "acceleration": "acceleration / reference's"}  # fmt: skip
 
 
 class Views(NamedTuple):
@@ -194,10 +196,6 @@ def measured(motion: Motion, cameras: Sequence[Camera], views: Views) -> dict[st
         "root": 100 * (found - ours + theirs - there).norm(dim=-1).mean((-2, -1)),
         "acceleration": moving,
     }
-
-
-_HEADS = {"px": "pixels off", "root": "pose, cm", "global": "in the room, cm",
-          "acceleration": "acceleration / reference's"}  # fmt: skip
 
 
 def rows(score: Mapping[str, Mapping[str, Tensor]]) -> list[dict[str, object]]:

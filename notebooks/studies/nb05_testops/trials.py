@@ -22,6 +22,9 @@ from motionlab.parallel import run_jobs
 from studies.nb05_testops.measures import CM, error_over_time
 from studies.shared.clips import part, stacked
 
+#: What stage 2 is tuned over: its smoothness, the weight of its pose prior, and frames of the filter after it.
+GRID = (400.0, 100.0, 25.0, 6.0, 1.5, 0.4), (0.0, 0.01, 0.04, 0.2, 1.0, 5.0), (0, 5, 9, 15, 21, 31)
+
 
 @dataclass(frozen=True, eq=False)
 class CaseFit:
@@ -84,10 +87,6 @@ class Rival:
     smoothness: float
     pose: float
     window: int
-
-
-#: What stage 2 is tuned over: its smoothness, the weight of its pose prior, and frames of the filter after it.
-GRID = (400.0, 100.0, 25.0, 6.0, 1.5, 0.4), (0.0, 0.01, 0.04, 0.2, 1.0, 5.0), (0, 5, 9, 15, 21, 31)
 
 
 def tried(

@@ -29,10 +29,9 @@ from studies.shared.workload import Noise, Part, Workload, workload
 #: What the thesis read off its profile, in %, and what its conclusion asks of the roll-out (our bound).
 CLAIMED = {"stage-3 closure": 90.0, "backward": 56.0, "roll-out function": 32.0}
 CAUSE = {"roll-out and its gradient": 50.0}
-
-
 #: States (B, T, 339) of a roll-out, what else it found, and the poses in the closure's own form.
 Chain = tuple[Tensor, Rollout, Tensor]
+_FUNCTION = ("first state", "chain")  # what the official code calls its roll-out function
 
 
 class Closure:
@@ -106,9 +105,6 @@ def contenders(one: Workload, many: Workload) -> dict[str, tuple[Workload, Savin
 def schedule(spent: Spent) -> list[dict[str, object]]:
     """Lists the phases of a schedule."""
     return [{"phase": p.name, "frames": p.part.frames, "closures at most": p.closures} for p in spent.phases]
-
-
-_FUNCTION = ("first state", "chain")  # what the official code calls its roll-out function
 
 
 def minutes(spent: Spent) -> dict[str, dict[str, float]]:

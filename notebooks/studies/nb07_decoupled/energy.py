@@ -30,6 +30,7 @@ from motionlab.humor.unknowns import Rolled, Unknowns, rolled_from
 
 TURNS = {"root_orient": 1, "pose_body": 21}
 _SIZES = {n: 6 * TURNS[n] if n in TURNS else torch.Size(shape).numel() for n, shape in SHAPES.items()}
+Unknown = Mapping[str, Tensor]
 
 
 def to_persistent(states: Tensor) -> Tensor:
@@ -74,9 +75,6 @@ class Form:
     steps: int | None = 1
     weight: float | Tensor = 1.0
     detached: bool = False
-
-
-Unknown = Mapping[str, Tensor]
 
 
 def terms(problem: Problem, unknown: Unknown, form: Form) -> tuple[Terms, Sequences]:

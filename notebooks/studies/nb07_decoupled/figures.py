@@ -16,6 +16,8 @@ ROLES = {
     "cut, springs 10,000": "6d",
     "K = 1": "ours", "K = 2": "quaternion", "K = 10": "axis-angle",
 }  # fmt: skip
+#: Measures of a search, by what an axis says.
+MEASURES = {"energy (nats)": "energy", "legs of the roll-out (cm)": "legs", "from x to roll-out (cm)": "gap"}
 
 
 def lines(panels: Mapping[str, Mapping[str, Sequence[float]]], x: Sequence[float], xlabel: str, ylabel: str) -> Figure:
@@ -91,10 +93,6 @@ def across_gaps(panels: Mapping[str, Mapping[str, Mapping[int, Tensor]]]) -> Fig
         ax.set(xlabel="hidden frames in the middle", ylabel=ylabel, ylim=(0, 1.1 * top))
     axes[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
-
-
-#: Measures of a search, by what an axis says.
-MEASURES = {"energy (nats)": "energy", "legs of the roll-out (cm)": "legs", "from x to roll-out (cm)": "gap"}
 
 
 def variants(score: Mapping[str, Mapping[str, Tensor]], roles: Mapping[str, str]) -> Figure:

@@ -47,9 +47,6 @@ class Found:
     watched: dict[int, dict[str, Tensor]] = field(default_factory=dict)
 
 
-Watch = Callable[[Unknown], dict[str, Tensor]]
-
-
 def descend(hessian: np.ndarray, pull: np.ndarray, most: int = 100_000) -> tuple[np.ndarray, int]:
     """The toy: minimises x'Hx/2 - b'x from 0 by conjugate gradients, until a millionth of the fall in energy is left or
     for ``most`` iterations; returns where that ends, and after how many."""
@@ -64,7 +61,7 @@ def descend(hessian: np.ndarray, pull: np.ndarray, most: int = 100_000) -> tuple
 
 def search(
     problem: Problem, start: Unknown, plan: Plan, evaluations: int, *,
-    watch: Watch | None = None, at: Sequence[int] = (),
+    watch: Callable[[Unknown], dict[str, Tensor]] | None = None, at: Sequence[int] = (),
 ) -> Found:  # fmt: skip
     """Adam, clip by clip, with steps that shrink to nothing along half a cosine; or in turns of it. watch: called with
     the unknowns after ``at`` evaluations; it is not timed. A clip that is not finite stays."""

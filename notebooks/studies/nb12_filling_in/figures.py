@@ -25,6 +25,7 @@ ROLES = {
 }  # fmt: skip
 COLUMNS = ("slerp", "curves", "nearest", "filter", "Gaussian", R, T, P, GUIDED)
 DRAWN = ("curves", "Gaussian", NEAREST, GAUSSIAN, R, T, P, GUIDED)
+_BONES = [(j, parent) for j, parent in enumerate(STANDARD.parents) if parent >= 0]
 
 
 def heat(errors: Mapping, scores: Mapping, spread: Mapping) -> Figure:
@@ -61,9 +62,6 @@ def _cells(ax, table: Mapping, cases: Sequence[str], names: Sequence[str], sprea
     ax.xaxis.tick_top()
     ax.grid(visible=False)
     ax.spines[:].set_visible(False)
-
-
-_BONES = [(j, parent) for j, parent in enumerate(STANDARD.parents) if parent >= 0]
 
 
 def one_pose(draws: Mapping[str, Sequence[Motion]], truth: Motion, known: Tensor, joints, frame: int) -> Figure:
