@@ -32,9 +32,8 @@ def refresh(folder: Path, notebooks: Path = NOTEBOOKS) -> list[str]:
             continue
         if mine.exists() and _text(mine) not in (_text(source), _text(last)):
             kept.append(source.name)
-            continue
-        for target in (mine, last):
-            shutil.copyfile(source, target)
+        else:
+            shutil.copyfile(source, mine), shutil.copyfile(source, last)
     return kept
 
 
@@ -48,6 +47,4 @@ def _text(path: Path) -> list[str] | None:
 
 if __name__ == "__main__":
     for name in refresh(folder := Path(sys.argv[1])):
-        print(
-            f"{folder / name}: you edited it, and there is a new version. Yours is kept: rename it to get the new one"
-        )
+        print(f"{folder / name}: you edited it, and there is a new version. Yours is kept: rename it to get that one")

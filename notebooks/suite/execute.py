@@ -18,7 +18,6 @@ from suite import findings, staleness
 from suite.findings import Record
 
 NOTEBOOKS = ROOT / "notebooks"
-_QUIET = ["--log-level=40"]  # the kernel's advice on encrypting its own sockets is not for the reader
 #: Of one process among several: linear algebra, compiled loops, and the software that draws where there is no card.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 _NARROW = {
@@ -76,11 +75,9 @@ def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
 
 # ------------------------------------------------------------------------------------------------------- one notebook
 async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run:
-    """Runs one notebook into another file (or its own), with these variables set beside those of this process.
-
-    Whatever happens in it is reported, not raised. ``out`` gets the outputs up to the cell that failed; where ``out``
-    is ``path`` itself, nothing unless it ran to its end.
-    """
+    """Runs one notebook into another file (or its own), with these variables set beside those of this process. Whatever
+    happens in it is reported, not raised. ``out`` gets the outputs up to the cell that failed; where ``out`` is
+    ``path`` itself, nothing unless it ran to its end."""
     import nbformat
     from nbclient import NotebookClient
     from nbclient.exceptions import CellExecutionError
@@ -90,8 +87,8 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
         book = nbformat.read(path, 4)
         client = NotebookClient(  # "immediate" ends a second sooner; what the kernel leaves lies in ``bench``
             book, timeout=None, startup_timeout=120, kernel_name="python3", record_timing=False,
-            store_widget_state=False, shutdown_kernel="immediate", extra_arguments=_QUIET,
-            resources={"metadata": {"path": str(path.parent)}},
+            store_widget_state=False, shutdown_kernel="immediate", resources={"metadata": {"path": str(path.parent)}},
+            extra_arguments=["--log-level=40"],  # its advice on encrypting its own sockets is not for the reader
         )  # fmt: skip
         with tempfile.TemporaryDirectory(prefix="motionlab-", ignore_cleanup_errors=True) as bench:
             await client.async_execute(env={**os.environ, "TMPDIR": bench, **environment})
@@ -101,10 +98,8 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
     except Exception as error:  # a kernel that dies, a notebook that is no notebook: report it, run the others
         failed = {"error": f"{type(error).__name__}: {error}"}
     if book is not None and (not failed or out != path):
-        book.metadata = {  # what differs from run to run (kernel details) is not stored
-            "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
-            "language_info": {"name": "python"},
-        }
+        spec = {"display_name": "Python 3", "language": "python", "name": "python3"}
+        book.metadata = {"kernelspec": spec, "language_info": {"name": "python"}}  # none of what differs run by run
         nbformat.write(book, out)
     return Run(path.stem, time.perf_counter() - start, **failed)
 
@@ -200,13 +195,13 @@ def _write_fingerprint(path: Path, again: bool = False, apart: str = "") -> None
     findings.save_record(findings.record_path(path), replace(record, **now, provenance=record.provenance | said))
 
 
-def _measured(path: Path, environment: Mapping[str, str], others: Sequence[Mapping[str, str]]) -> list[Record]:
+def _measured(path: Path, environment: dict[str, str], others: Sequence[dict[str, str]]) -> list[Record]:
     """The records of smoke runs of one notebook, one after the other: as it is, and with other roundings."""
-    found, smoke = [], {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1", **environment}
+    found = []
     for rounding in ({"OMP_NUM_THREADS": "1"}, *others):
         with tempfile.TemporaryDirectory() as folder:
-            place = smoke | {"MOTIONLAB_RESULTS": folder} | rounding
-            run = asyncio.run(_execute(path, Path(folder) / path.name, place))
+            smoke = {"MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RESULTS": folder}
+            run = asyncio.run(_execute(path, Path(folder) / path.name, smoke | environment | rounding))
             if not run.ok:
                 raise DataError(f"{run.status()}: {run.error}", path=path, remedy="mend it, then take its fingerprint")
             found.append(findings.load_record(Path(folder) / findings.record_path(path).name))

@@ -133,8 +133,8 @@ def spoken(claim: Claim, found: Sequence[Finding]) -> str:
 
 def apart(claim: Claim, found: Sequence[Finding]) -> dict[str, str]:
     """Returns the verdict on synthetic motion alone and on recordings alone."""
-    parts = {"synthetic": [f for f in found if not is_real(f)], "real": [f for f in found if is_real(f)]}
-    return {name: verdict(claim, some) for name, some in parts.items()}
+    parts = {"synthetic": False, "real": True}.items()
+    return {name: verdict(claim, [f for f in found if is_real(f) == real]) for name, real in parts}
 
 
 def is_real(finding: Finding) -> bool:

@@ -293,15 +293,10 @@ class Lab:
         """The record of this run."""
         provenance = {name: version(name) for name in ("torch", "kornia", "pyvista", "numpy")}
         provenance |= {"profile": self.profile, "seed": str(self.seed), "python": platform.python_version()}
-        return Record(
-            notebook=self.notebook,
-            source_hash=self._code(),
-            findings=tuple(self.settled()),
-            provenance=provenance | {"seconds": f"{seconds:.0f}", "processor seconds": f"{worked:.0f}"},
-            fingerprint=self._fingerprint() if self.profile == "smoke" else {},
-            weights=checkpoint.loaded(),
-            recordings=staleness.recordings_digest(self.data),
-        )
+        provenance |= {"seconds": f"{seconds:.0f}", "processor seconds": f"{worked:.0f}"}
+        marks = self._fingerprint() if self.profile == "smoke" else {}
+        seen = {"weights": checkpoint.loaded(), "recordings": staleness.recordings_digest(self.data)}
+        return Record(self.notebook, self._code(), tuple(self.settled()), provenance, marks, **seen)
 
 
 def _png(write: Callable[..., object], **how: object) -> bytes:

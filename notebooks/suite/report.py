@@ -122,9 +122,8 @@ def _write(
     out: Path, entries: Sequence[SimpleNamespace], verdicts: Mapping[Claim, str], found: Sequence[Finding]
 ) -> None:
     """Write the gallery, a page for every notebook, that of the tests, and their style."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
+    files = jinja2.FileSystemLoader(TEMPLATES)
+    environment = jinja2.Environment(loader=files, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"measured": _measured, "duration": staleness.duration}
     parts = groupby(entries, lambda entry: [part for number, part in PARTS.items() if number <= entry.number][-1])
     films = [picture for entry in entries for picture in entry.pictures if picture.film]
