@@ -103,7 +103,7 @@ def best(runs: Mapping[str, Run]) -> float:
 def above(task: Task, run: Run, low: float, seconds: float) -> float:
     """How far the energy known after so many seconds is above another, nats a frame; the start's, before any is."""
     known = run.energies[run.seconds <= seconds].tolist()[-1:]
-    return (min(*known, *task.energy(run.kept[0][1]).tolist()) - low) / task.nat
+    return (min([*known, *task.energy(run.kept[0][1]).tolist()]) - low) / task.nat
 
 
 def times_sooner(task: Task, runs: Mapping[str, Run]) -> float:
