@@ -61,7 +61,7 @@ def rest_poses(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Te
     """
     for source, pose in _candidates(motion, joints):
         if pose is not None:
-            rest = places_of(motion.skeleton, pose)
+            rest = motion.skeleton.rest_positions(pose)
             if _stands(rest, joints) and (source != FIRST or _points(rest, joints, _IN_A_T, 0.94, needed=True)):
                 yield source, pose, rest
 
@@ -89,14 +89,6 @@ def looks_ahead(motion: Motion, joints: dict[str, int]) -> bool:
     return bool(((knee - (hip + ankle) / 2 + toes).mean(1) * front).sum(-1).mean() > 0)
 
 
-def places_of(skeleton: Skeleton, pose: Tensor) -> Tensor:
-    """Computes where the joints are (J, 3), metres from the root, if they are turned so (J, 3, 3)."""
-    rest = torch.zeros(len(skeleton), 3, dtype=torch.float64)
-    for j, parent in enumerate(skeleton.parents[1:], start=1):
-        rest[j] = rest[parent] + pose[parent].double() @ skeleton.offsets[j].double()
-    return rest
-
-
 def reframed(skeleton: Skeleton, rot: Tensor, frames: Tensor) -> tuple[Skeleton, Tensor]:
     """Computes offsets and rotations (T, J, 3, 3) of the same movement where ``frames`` (J, 3, 3) is the zero pose."""
     above = torch.cat((_BODY[None], frames[list(skeleton.parents[1:])]))
@@ -108,7 +100,7 @@ def reframed(skeleton: Skeleton, rot: Tensor, frames: Tensor) -> tuple[Skeleton,
 def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: float = 0.9) -> Tensor | None:
     """A pose (J, 3, 3) in any axes, seen in the body's own, which are read off it: up and left are axes of the file
     where they nearly are, left by a cosine of ``near``."""
-    rest = places_of(skeleton, pose)
+    rest = skeleton.rest_positions(pose)
     hips = rest[joints["left_hip"]], rest[joints["right_hip"]]
     left = hips[0] - hips[1]
     ankles = rest[joints["left_ankle"]] + rest[joints["right_ankle"]]

@@ -19,7 +19,7 @@ from motionlab.io.judging import Axes
 from motionlab.io.pickles import array_of, arrays_of, read_array, read_pickle
 from motionlab.io.reading import Location, check_writable, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD, Skeleton
+from motionlab.skeleton import STANDARD
 
 #: Joints of a model -> its name. All begin with the same 22: root and 21 body joints.
 MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
@@ -158,7 +158,6 @@ def _rate(at: Location, arrays: dict[str, np.ndarray], system: str, usual: float
 def load(
     path: str | Path,
     *,
-    skeleton: Skeleton = STANDARD,
     pelvis_offset: Tensor | None = None,
     person: int = 0,
     up: Axes = None,
@@ -172,7 +171,6 @@ def load(
     not known and the root lies some 0.3 m off (upwards for SMPL); the motion is the same.
 
     Args:
-        skeleton: 22 joints in SMPL's order, such as that of the subject's own body.
         pelvis_offset: (3,) J_0(betas) in metres; None is zero.
         person: whom, of a file of several; the longest first.
         up, axes: instead of z up (GVHMR, WHAM and AIST++: y; TRAM: -y), which is doubted where the heads of the file
@@ -181,10 +179,8 @@ def load(
     Raises:
         DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ;
             nothing that a pickle asks for is executed.
-        ShapeError: the skeleton has not 22 joints, or pelvis_offset is not (3,).
+        ShapeError: pelvis_offset is not (3,).
     """
-    if len(skeleton) != BODY:
-        raise ShapeError(f"skeleton: expected the {BODY} body joints of SMPL, got {len(skeleton)}")
     judging.check_given(None, up, axes)
     with reading(path, _REMEDY) as at:
         arrays, (system, says_up, usual) = _arrays(at, person)
@@ -200,9 +196,9 @@ def load(
         ids = arrays.get("frame_ids", np.zeros(0))
         if ids.size == frames > 1 and (np.diff(ids.ravel().astype(float)) != 1).any():
             at.notes.append("frames are missing in between, which the file joins: see its frame_ids")
-        contacts = arrays.get("contacts")  # not AMASS's own, HuMoR and we add it
-        if contacts is not None:
-            contacts = checked_array(at, contacts, f"{frames} {len(STANDARD.contact_names)}", "contacts")
+        contacts = None
+        if "contacts" in arrays:  # not AMASS's own, HuMoR and we add it
+            contacts = checked_array(at, arrays["contacts"], f"{frames} {len(STANDARD.contact_names)}", "contacts")
             contacts = torch.from_numpy(contacts).float()
         rate = _rate(at, arrays, system, usual) if fps is None else frame_rate(at, fps, "fps")
         fast = rate * np.linalg.norm(np.diff(trans, axis=0), axis=-1).max(initial=0.0)
@@ -216,7 +212,7 @@ def load(
             at.notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
         root = torch.from_numpy(trans) + _offset(pelvis_offset)
         rot = rotation.axis_angle_to_matrix(torch.from_numpy(turns[:, :BODY]))
-        motion = Motion(skeleton, root, rot, rate, contacts, at.path.stem, tuple(at.notes))
+        motion = Motion(STANDARD, root, rot, rate, contacts, at.path.stem, tuple(at.notes))
         return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)
 
 

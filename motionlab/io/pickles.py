@@ -88,29 +88,9 @@ class _Record:
         record.args, record.state = args, None
         return record
 
-    def __init__(self, *args, **_):
-        pass
-
-    def __setstate__(self, state):
-        self.state = state
-
 
 def _record(name: str) -> type[_Record]:
-    return type("Record", (_Record,), {"name": name})
-
-
-def _reconstructor(cls, base, state):
-    """Protocol 0 and 1's way to make an empty object; only of records."""
-    if not (isinstance(cls, type) and issubclass(cls, _Record)):
-        raise TypeError("not a class")
-    return cls()
-
-
-def _latin1(text, encoding="latin1"):
-    """How Python 3 writes bytes in protocol 2."""
-    if encoding not in ("latin1", "latin-1"):
-        raise ValueError("not latin1")
-    return str(text).encode("latin1")
+    return type("Record", (_Record,), {"name": name.rpartition(".")[2]})
 
 
 #: Modules by the name that they have now.
@@ -121,22 +101,17 @@ _MOVED = {
 #: What is built of a name: containers, bytes, and records of numpy's arrays, torch's tensors and joblib's arrays, which
 #: lie in the file behind their records.
 _BUILT = {
-    "copyreg._reconstructor": _reconstructor,
-    "_codecs.encode": _latin1,
-    "builtins.bytes": lambda: b"",  # how Python 3 writes none in protocol 2
+    "copyreg._reconstructor": lambda cls, *_: cls(),  # protocol 0 and 1's way to make an empty object
+    "_codecs.encode": lambda text, *_: str(text).encode("latin1"),  # how Python 3 writes bytes in protocol 2
+    "builtins.bytes": lambda: b"",  # and none
     # to be filled; what a defaultdict makes of what it lacks is left out
     **dict.fromkeys(("builtins.dict", "collections.OrderedDict", "collections.defaultdict"), lambda *_: {}),
-    "builtins.object": _record("object"),
-    "builtins.set": _record("set"),
-    "numpy._core.multiarray._reconstruct": _record("_reconstruct"),
-    "numpy._core.multiarray.scalar": _record("scalar"),
-    "numpy._core.numeric._frombuffer": _record("_frombuffer"),
-    "numpy.ndarray": _record("ndarray"),
-    "numpy.dtype": _record("dtype"),
-    "torch._utils._rebuild_tensor_v2": _record("tensor"),
-    "torch.storage._load_from_bytes": _record("storage"),
-    "joblib.numpy_pickle.NumpyArrayWrapper": _record("joblib"),
-}
+    **{name: _record(name) for name in (
+        "builtins.object", "builtins.set", "numpy._core.multiarray._reconstruct", "numpy._core.multiarray.scalar",
+        "numpy._core.numeric._frombuffer", "numpy.ndarray", "numpy.dtype", "torch._utils._rebuild_tensor_v2",
+        "torch.storage._load_from_bytes", "joblib.numpy_pickle.NumpyArrayWrapper",
+    )},
+}  # fmt: skip
 _SPARSE = re.compile(r"scipy\.sparse\.(?:_?(?:csc|csr|coo)\.)?(csc|csr|coo)_(?:matrix|array)")
 _CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
 
@@ -161,16 +136,16 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
         raise self.at.error("refers to objects outside the file", place="pickle")
 
     def load_build(self) -> None:
-        if not isinstance(self.stack[-2], _Record):  # a function of this module would take what it is told
+        state, record = self.stack.pop(), self.stack[-1]
+        if not isinstance(record, _Record):  # a function of this module would take what it is told
             raise self.at.error("sets the state of what is no array", place="pickle")
-        super().load_build()
-        record = self.stack[-1]
-        if getattr(record, "name", "") == "joblib":
-            if record.state.get("numpy_array_alignment_bytes"):
+        record.state = state
+        if record.name == "NumpyArrayWrapper":
+            if state.get("numpy_array_alignment_bytes"):
                 self.stream.read(self.stream.read(1)[0])
-            shape, kind = _shape(self.at, record.state["shape"]), _kind(self.at, record.state["dtype"])
+            shape, kind = _shape(self.at, state["shape"]), _kind(self.at, state["dtype"])
             raw = self.stream.read(kind.itemsize * math.prod(shape))
-            self.stack[-1] = _from_bytes(self.at, raw, record.state["dtype"], shape, record.state["order"])
+            self.stack[-1] = _from_bytes(self.at, raw, state["dtype"], shape, state["order"])
 
 
 def arrays_of(at: Location, tree: object, keys: Iterable[str], place: str) -> dict[str, np.ndarray]:
@@ -222,7 +197,7 @@ def array_of(at: Location, value: object) -> np.ndarray:
             picked = array_of(at, state["a"]).ravel()[array_of(at, state["idxs"]).ravel()]
             shape = state.get("preferred_shape")
             return picked if shape is None else picked.reshape(_shape(at, shape))
-    if value.name == "tensor" and getattr(value.args[0], "name", "") == "storage":
+    if value.name == "_rebuild_tensor_v2" and getattr(value.args[0], "name", "") == "_load_from_bytes":
         storage = torch.load(io.BytesIO(value.args[0].args[0]), map_location="cpu", weights_only=True)
         whole = torch.empty(0, dtype=storage.dtype)
         return whole.set_(storage._untyped_storage, *value.args[1:4]).numpy().copy()

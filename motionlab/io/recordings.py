@@ -39,13 +39,9 @@ class Recording(NamedTuple):
 
 @dataclass(frozen=True)
 class Source:
-    """A known source: its licence, whether shipped weights may be trained on it, and its files by kind.
-
-    files: kind -> (pattern within the source's folder, loader).
-    """
+    """A known source: its licence, and its files by kind -> (pattern within the source's folder, loader)."""
 
     licence: str
-    trainable: bool | None
     files: dict[str, tuple[str, Callable]]
 
 
@@ -58,24 +54,24 @@ def _captury_view(path: Path) -> Observation2D:
 
 #: What is known of each source of the data set; see its SOURCE.txt for citation and format.
 SOURCES: dict[str, Source] = {
-    "bandai_namco": Source("CC BY-NC 4.0", False, {"bvh": ("*.bvh", bvh.load)}),
-    "anidance": Source("mocap without licence: evaluate only", False, {"npz": ("*.npz", points.load_anidance)}),
-    "cmu_amc": Source("CMU terms, credit", True, {"amc": ("*.amc", asf.load_beside)}),
-    "cmu_library": Source("CMU terms, credit", True, {"bvh": ("*/*.bvh", bvh.load)}),
-    "cmu_native": Source("CMU terms, credit", True, {"amc": ("*/*.amc", asf.load_beside)}),
-    "deepmimic": Source("MIT", True, {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
-    "captury_falls": Source("free for research: evaluate only", False, {
+    "bandai_namco": Source("CC BY-NC 4.0", {"bvh": ("*.bvh", bvh.load)}),
+    "anidance": Source("mocap without licence: evaluate only", {"npz": ("*.npz", points.load_anidance)}),
+    "cmu_amc": Source("CMU terms, credit", {"amc": ("*.amc", asf.load_beside)}),
+    "cmu_library": Source("CMU terms, credit", {"bvh": ("*/*.bvh", bvh.load)}),
+    "cmu_native": Source("CMU terms, credit", {"amc": ("*/*.amc", asf.load_beside)}),
+    "deepmimic": Source("MIT", {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
+    "captury_falls": Source("free for research: evaluate only", {
         "c3d": ("*/mocap.c3d", points.load_c3d), "csv": ("*/biomech.csv", partial(points.load_biomech, fps=50)),
         "2d": ("*/projected*.csv", _captury_view)}),
-    "reactidle": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
-    "animated_drawings": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
-    "isaacgym_amp_cmu": Source("BSD-3 + CMU terms", True, {"npz": ("*.npz", clips.load_amp)}),
-    "pose2sim_openpose": Source("BSD-3", True, {
+    "reactidle": Source("MIT", {"bvh": ("*.bvh", bvh.load)}),
+    "animated_drawings": Source("MIT", {"bvh": ("*.bvh", bvh.load)}),
+    "isaacgym_amp_cmu": Source("BSD-3 + CMU terms", {"npz": ("*.npz", clips.load_amp)}),
+    "pose2sim_openpose": Source("BSD-3", {
         "openpose": ("*/cam*_json", partial(openpose.load, fps=60, layout="BODY_25B")),
         "trc": ("ref3d/*.trc", points.load_trc)}),
     # two whose rate is not stored: 30 is presumed; the first is of a webcam
-    "3dance_openpose": Source("MIT", True, {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
-    "openpose_crowd": Source("MIT", True, {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
+    "3dance_openpose": Source("MIT", {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
+    "openpose_crowd": Source("MIT", {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
 }  # fmt: skip
 
 
@@ -84,9 +80,8 @@ class Row:
     """One line of the inventory: recordings of one kind of one source.
 
     clips, minutes: of those that can be read. fps, points: lowest and highest over them, 0 where there is none.
-    points: joints, markers or keypoints. trainable: None where the source is not known. seen: share of points that
-    were measured or detected. unread: why each of the others cannot be read; the message names the file. guessed: see
-    ``guesses``.
+    points: joints, markers or keypoints. seen: share of points that were measured or detected. unread: why each of the
+    others cannot be read; the message names the file. guessed: see ``guesses``.
     """
 
     source: str
@@ -97,7 +92,6 @@ class Row:
     points: tuple[int, int]
     seen: float
     licence: str
-    trainable: bool | None
     unread: tuple[DataError | MissingData, ...] = ()
     guessed: tuple[str, ...] = ()
 
@@ -162,10 +156,9 @@ def inventory(
         minutes = sum(t / fps for t, fps, *_ in sizes) / 60
         seen = sum(share * t for t, _, _, share, _ in sizes) / max(sum(frames), 1)
         spans = (min(rates), max(rates)), (min(points), max(points))
-        known = SOURCES.get(name, Source("not known", None, {}))
+        licence = SOURCES[name].licence if name in SOURCES else "not known"
         unread = tuple(size for _, size in items if not isinstance(size, tuple))
-        licence = known.licence, known.trainable
-        rows.append(Row(name, kind, len(sizes), minutes, *spans, seen, *licence, unread, guesses(noted)))
+        rows.append(Row(name, kind, len(sizes), minutes, *spans, seen, licence, unread, guesses(noted)))
     return rows
 
 
