@@ -53,10 +53,6 @@ def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:
     The pattern is words separated by spaces: ``...`` (first only) for any batch axes, a number for
     a fixed size, a name for a free one. A name that occurs twice must have one size.
 
-    >>> import torch
-    >>> check_shape(torch.zeros(7, 22, 3), "... J 3", "positions")
-    {'J': 22}
-
     Raises:
         ShapeError: naming the tensor, the expected and the actual shape.
     """

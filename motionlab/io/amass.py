@@ -16,7 +16,7 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import Axes
-from motionlab.io.pickles import array_of, arrays_of, read_array, read_pickle
+from motionlab.io.pickles import array_of, arrays_of, read_pickle
 from motionlab.io.reading import Location, check_writable, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
@@ -52,7 +52,7 @@ def _arrays(at: Location, person: int) -> tuple[dict[str, np.ndarray], tuple[str
     if data[:2] == b"PK" and b"data.pkl" not in data[:200]:  # torch's archives begin with it
         tree = read_npz(at, _KEYS)
     else:
-        tree = read_array(at, data) if data[:6] == b"\x93NUMPY" else read_pickle(at, data)
+        tree = read_pickle(at, data)
     bodies = _bodies(_by_person(at, tree))
     in_world = [(way, body) for way, body in bodies if "cam" not in way]
     keys = {key for way, body in bodies for key in (*way.split(), *body)}
@@ -205,12 +205,14 @@ def load(
         far = np.linalg.norm(np.median(trans, axis=0))
         if fast > _FASTEST or far > _FARTHEST:
             at.notes.append(f"{key} moves by up to {fast:.3g} m/s, {far:.3g} m from the origin: is it in metres?")
+        offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
+        check_shape(offset, "3", "pelvis_offset")
         if pelvis_offset is None:
             at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
         if joints > BODY:
             model = MODELS.get(joints, f"{joints} joints")
             at.notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
-        root = torch.from_numpy(trans) + _offset(pelvis_offset)
+        root = torch.from_numpy(trans) + offset.double().cpu()
         rot = rotation.axis_angle_to_matrix(torch.from_numpy(turns[:, :BODY]))
         motion = Motion(STANDARD, root, rot, rate, contacts, at.path.stem, tuple(at.notes))
         return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)
@@ -233,6 +235,8 @@ def save(
         DataError: NaN or infinity, or the file cannot be written.
     """
     check_writable(path, motion)
+    offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
+    check_shape(offset, "3", "pelvis_offset")
     check_shape(motion.rot, f"T {BODY} 3 3", "rot")
     if model not in EXTRA:
         raise ShapeError(f"model: expected one of {', '.join(EXTRA)}, got {model!r}")
@@ -240,7 +244,7 @@ def save(
     poses = torch.cat((turns, turns.new_zeros(len(turns), EXTRA[model])), -1)
     content = {
         "poses": poses.cpu().numpy(),
-        "trans": (motion.root.double().cpu() - _offset(pelvis_offset)).numpy(),
+        "trans": (motion.root.double().cpu() - offset.double().cpu()).numpy(),
         "betas": np.zeros(16) if betas is None else betas.double().cpu().numpy(),
         "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(motion.fps)),
@@ -250,10 +254,3 @@ def save(
     archive = io.BytesIO()
     np.savez_compressed(archive, **content)
     write_whole(path, archive.getvalue())
-
-
-def _offset(pelvis_offset: Tensor | None) -> Tensor:
-    if pelvis_offset is None:
-        return torch.zeros(3, dtype=torch.float64)
-    check_shape(pelvis_offset, "3", "pelvis_offset")
-    return pelvis_offset.double().cpu()

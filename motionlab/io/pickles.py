@@ -23,11 +23,14 @@ from motionlab.io.reading import LARGEST, Location, read_npy
 
 
 def read_pickle(at: Location, data: bytes) -> object:
-    """Reads a pickle, or what joblib (packed or not) or torch wrote: containers of what :func:`array_of` takes.
+    """Reads a pickle, or what joblib (packed or not), torch or numpy.save wrote: containers of what :func:`array_of`
+    takes; of a .npy its array, or of one of objects the first.
 
     Raises:
         DataError: it asks for anything else. Others, of damaged files: inside ``reading`` a DataError.
     """
+    if data[:6] == b"\x93NUMPY":
+        return read_npy(at, data, objects=_first)
     at.place = "pickle"
     if data[:3] == b"BZh" or data[:6] == b"\xfd7zXZ\x00" or data[:2] == b"]\x00":
         raise at.error("packed by bz2 or lzma", remedy="pack it as zlib: joblib.dump(..., compress=3)")
@@ -41,15 +44,6 @@ def read_pickle(at: Location, data: bytes) -> object:
                 asked = ", ".join(re.findall(r"GLOBAL (\S+)", str(error)))
                 raise _refused(at, asked or "an instruction of another protocol") from error
     return _Reader(at, data).load()
-
-
-def read_array(at: Location, data: bytes) -> object:
-    """Reads a .npy: an array, or of one of objects what :func:`read_pickle` makes of the first.
-
-    Raises:
-        DataError: see :func:`read_pickle`.
-    """
-    return read_npy(at, data, objects=_first)
 
 
 def _first(at: Location, data: bytes) -> object:

@@ -24,8 +24,7 @@ from motionlab.observation import Observation2D
 _TEXTS = (".json", ".txt")  # told by their beginnings
 #: Loader of a single file by suffix, for folders that are not known by name.
 SUFFIXES: dict[str, Callable] = {suffix: loader for suffix, loader in io.LOADERS.items() if suffix not in _TEXTS}
-
-
+_MOST = 8  # kinds of notes that are told
 _SET = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
 
 
@@ -101,8 +100,6 @@ def recordings(
 ) -> Iterator[Recording]:
     """Finds every recording of the folder, or of one source, sorted by source and path.
 
-    >>> for source, path, loader in recordings(folder): motion = loader(path)  # doctest: +SKIP
-
     Args:
         video_fps: frames per second of OpenPose folders of one's own, which do not store it; without it their
             loader raises a DataError that asks for it.
@@ -162,7 +159,7 @@ def inventory(
     return rows
 
 
-def guesses(noted: Iterable[tuple[Path, Sequence[str]]], most: int = 8) -> tuple[str, ...]:
+def guesses(noted: Iterable[tuple[Path, Sequence[str]]]) -> tuple[str, ...]:
     """Sums up notes of files, doubts first: those that differ by numbers alone are one, of which the first is told."""
     kinds: dict[str, list[str]] = {}
     for path, notes in noted:
@@ -170,8 +167,8 @@ def guesses(noted: Iterable[tuple[Path, Sequence[str]]], most: int = 8) -> tuple
             kind = ("--" not in note, re.sub(r"[\d.]+", "0", note.partition(":")[0]))  # what offers an option doubts
             kinds.setdefault(kind, []).append(f"{path.name}: {note}")
     told = [kinds[kind] for kind in sorted(kinds, key=lambda kind: (kind[0], -len(kinds[kind])))]
-    more = [f"{len(told) - most} notes more, of other kinds"] if len(told) > most else []
-    return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:most]), *more)
+    more = [f"{len(told) - _MOST} notes more, of other kinds"] if len(told) > _MOST else []
+    return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:_MOST]), *more)
 
 
 def _size(loader: Callable, path: Path, reading: Mapping) -> tuple[int, float, int, float, tuple] | Exception:
