@@ -41,11 +41,7 @@ Table = dict[str, object]
 
 
 def read_tables(at: Location) -> dict[str, Table]:
-    """Reads the cameras of a file by name, one or more.
-
-    Raises:
-        DataError: damaged, no known format, or no camera in it.
-    """
+    """Reads the cameras of a file by name, one or more."""
     head, suffix = read_bytes(at)[:4096].removeprefix(b"\xef\xbb\xbf").lstrip(), at.path.suffix.lower()
     if re.match(rb"\{|\[\s*[\[{]", head):
         found = _of_json(read_json(at))

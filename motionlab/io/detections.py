@@ -66,9 +66,6 @@ def from_folder(at: Location, read: Callable[[Location], Detections], *suffixes:
 
     Files that are named otherwise before the number than most are left out. The first suffix of which there are
     numbered files counts.
-
-    Raises:
-        DataError: no numbered file, two of one number, several series, a file that holds several frames.
     """
     files = next((files for suffix in suffixes if (files := _series(at, suffix))), None)
     if files is None:
@@ -113,11 +110,7 @@ def unknown(at: Location) -> DataError:
 def collect(
     at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable[..., Sighting], **more
 ) -> Detections:
-    """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros.
-
-    Raises:
-        DataError: a frame is there twice, people have different numbers of keypoints, or far too many.
-    """
+    """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros."""
     found = Detections(detector, {}, {}, **more)
     for number, people in frames:
         seen = []
@@ -143,9 +136,6 @@ def collect_named(
     """Joins (frame number, people) pairs whose points are (x, y, confidence) by name or number, None where not said.
 
     What somebody lacks is NaN. Names of COCO or MediaPipe are put in that layout's order.
-
-    Raises:
-        DataError: see ``collect``; or a number cannot be used.
     """
     keys = list(dict.fromkeys(key for _, people in seen for points, _ in people for key in points))
     at.place = "names"

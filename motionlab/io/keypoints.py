@@ -273,11 +273,7 @@ def _in_order(
 
 
 def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
-    """Brings people (N, K, 3) to pixels and confidences of 0..1, in place, 0 where not seen; says what it assumed.
-
-    Raises:
-        DataError: the image size is needed, or the coordinates lie around zero as those of 3-D poses do.
-    """
+    """Brings people (N, K, 3) to pixels and confidences of 0..1, in place, 0 where not seen; says what it assumed."""
     notes, xy, score = [], people[..., :2], people[..., 2]
     if np.isnan(score).all():
         score[:] = 1

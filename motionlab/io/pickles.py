@@ -24,11 +24,7 @@ from motionlab.io.reading import LARGEST, Location, read_npy
 
 def read_pickle(at: Location, data: bytes) -> object:
     """Reads a pickle, or what joblib (packed or not), torch or numpy.save wrote: containers of what :func:`array_of`
-    takes; of a .npy its array, or of one of objects the first.
-
-    Raises:
-        DataError: it asks for anything else. Others, of damaged files: inside ``reading`` a DataError.
-    """
+    takes; of a .npy its array, or of one of objects the first. What asks for anything else is refused."""
     if data[:6] == b"\x93NUMPY":
         return read_npy(at, data, objects=_first)
     at.place = "pickle"
@@ -143,11 +139,7 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
 
 
 def arrays_of(at: Location, tree: object, keys: Iterable[str], place: str) -> dict[str, np.ndarray]:
-    """Reads those arrays of a dictionary that are there; ``at.place`` goes along.
-
-    Raises:
-        DataError: no dictionary, or something else than numbers.
-    """
+    """Reads those arrays of a dictionary that are there; ``at.place`` goes along."""
     if not isinstance(tree, dict):
         raise at.error(f"holds a {type(tree).__name__}, expected a dictionary of arrays", place=place)
     arrays = {}
@@ -160,11 +152,7 @@ def arrays_of(at: Location, tree: object, keys: Iterable[str], place: str) -> di
 
 
 def array_of(at: Location, value: object) -> np.ndarray:
-    """Makes an array of what a pickle said: of numpy, torch, scipy (sparse), chumpy around one of these, or numbers.
-
-    Raises:
-        DataError: it is something else.
-    """
+    """Makes an array of what a pickle said: of numpy, torch, scipy (sparse), chumpy around one of these, or numbers."""
     if not isinstance(value, _Record):
         if isinstance(value, list | tuple):
             return np.asarray([array_of(at, each) if isinstance(each, _Record) else each for each in value])

@@ -226,11 +226,7 @@ def _measured(at: Location, names: tuple[str, ...], points: np.ndarray, valid: n
 
 def trc_table(at: Location, text: str) -> tuple[dict[str, str], tuple[str, ...], np.ndarray]:
     """Reads the header of a TRC by name, the names of its K markers, and its rows (T, 2 + 3K): frame, time, places; NaN
-    where there is none.
-
-    Raises:
-        DataError: header and table do not fit each other, or a cell is not a number.
-    """
+    where there is none."""
     lines = text.splitlines()
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise at.error("expected PathFileType, five header lines and at least one frame", place="line 1")

@@ -29,9 +29,6 @@ def rerooted(
     Args:
         translations: a joint below that moves is kept at its mean place and noted; "strict" refuses if it moves more
             than ``RIGID``, "mean" never. lines: where each joint stands in the file, for messages.
-
-    Raises:
-        DataError: see ``translations``.
     """
     names, parents, offset = skeleton.names, skeleton.parents, skeleton.offsets.double().numpy()
     reach = longest_chain(skeleton) or 1e-12
