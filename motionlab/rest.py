@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import permutations, product
 
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -24,12 +24,7 @@ SQUARE, MOVED = "movement, by right angles", "movement"
 
 _BODY = torch.eye(3, dtype=torch.float64)  # left, up, front
 _SKY = _BODY[2]  # the world is z up
-_RIGHT_ANGLES = [
-    turn
-    for order in permutations(range(3))
-    for signs in product((1.0, -1.0), repeat=3)
-    if torch.linalg.det(turn := _BODY[list(order)] * torch.tensor(signs, dtype=torch.float64)[:, None]) > 0
-]
+_RIGHT_ANGLES = torch.from_numpy(Rotation.create_group("O").as_matrix()).round()
 _SQUARE = 0.15  # radians: bones and hinges as near to an axis of their joint, on the whole, are meant to lie on it
 _LIKE = 1.3  # radians: joints of such a rig whose means differ by less are turned alike; hands and heads hang
 _STRAIGHT = 0.02  # a limb that bends less on the whole says little of its hinge
@@ -125,14 +120,9 @@ def _stands(rest: Tensor, joints: dict[str, int]) -> bool:
 
 
 def _points(rest: Tensor, joints: dict[str, int], bones: tuple, cosine: float, needed: bool = False) -> bool:
-    for direction, a, b in bones:
-        if a in joints and b in joints:
-            bone = rest[joints[b]] - rest[joints[a]]
-            if bone @ direction < cosine * bone.norm():
-                return False
-        elif needed:
-            return False
-    return True
+    there = [(way, rest[joints[b]] - rest[joints[a]]) for way, a, b in bones if a in joints and b in joints]
+    found = len(there) == len(bones) or not needed
+    return found and all(bone @ way >= cosine * bone.norm() for way, bone in there)
 
 
 # --------------------------------------------------------------------------------------------------- from movement
@@ -210,7 +200,7 @@ def _axes(first: Tensor, second: Tensor) -> Tensor:
 
 def _square(turn: Tensor) -> Tensor:
     """The nearest turn by right angles."""
-    return max(_RIGHT_ANGLES, key=lambda right: float((right * turn).sum()))
+    return _RIGHT_ANGLES[(_RIGHT_ANGLES * turn).sum((1, 2)).argmax()]
 
 
 def _is_square(means: Tensor, joints: dict[str, int]) -> bool:

@@ -309,11 +309,6 @@ def _leg_length_of(skeleton: Skeleton) -> float:
     return float(skeleton.offsets[bones].norm(dim=-1).sum()) / 2
 
 
-def _child(name: str, mapped: dict[str, int]) -> str | None:
-    children = [n for n, p in zip(STANDARD.names, STANDARD.parents, strict=True) if p == STANDARD.index(name)]
-    return children[0] if len(children) == 1 and children[0] in mapped else None
-
-
 def _corrections(body: Match) -> Tensor:
     """S (22, 3, 3): from the T-pose's bone to the source's bone in its rest pose, in body axes.
 
@@ -323,11 +318,11 @@ def _corrections(body: Match) -> Tensor:
     limbs = (*_LIMBS, *(["ankle"] if body.source in (SQUARE, MOVED) else []))
     corrections: list[Tensor] = []
     for joint, name in enumerate(STANDARD.names):
-        part, child = name.rpartition("_")[2], _child(name, body.joints)
-        parent = STANDARD.parents[joint]
+        part, parent = name.rpartition("_")[2], STANDARD.parents[joint]
+        child = next((n for n, p in zip(STANDARD.names, STANDARD.parents, strict=True) if p == joint), "")
         if name not in body.joints or part == "wrist":
             corrections.append(corrections[parent] if parent >= 0 else _EYE)
-        elif child and part in limbs:
+        elif child in body.joints and part in limbs:
             bone = body.rest[body.joints[child]] - body.rest[body.joints[name]]
             corrections.append(rotation.rotation_between(STANDARD.offsets[STANDARD.index(child)].double(), bone))
         else:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -142,20 +143,22 @@ def inventory(
     Raises:
         MissingData: see ``recordings``.
     """
-    groups: dict[tuple[str, str], list] = {}
+    groups: dict[tuple[str, str], tuple[list, list]] = {}
     for name, kind, path, loader in _found(Path(folder), source, video_fps):
-        groups.setdefault((name, kind), []).append((path, _size(loader, path, reading or {})))
+        read, unread = groups.setdefault((name, kind), ([], []))
+        try:
+            read.append((path, *_size(io.guided(loader, path, reading or {}))))
+        except (DataError, MissingData) as error:
+            unread.append(error)
     rows = []
-    for (name, kind), items in groups.items():
-        noted = [(path, size[4]) for path, size in items if isinstance(size, tuple)]
-        sizes = [size for _, size in items if isinstance(size, tuple)]
-        frames, rates, points, *_ = zip(*sizes, strict=True) if sizes else ((0,),) * 3
-        minutes = sum(t / fps for t, fps, *_ in sizes) / 60
-        seen = sum(share * t for t, _, _, share, _ in sizes) / max(sum(frames), 1)
+    for (name, kind), (read, unread) in groups.items():
+        _, frames, rates, points, *_ = zip(*read, strict=True) if read else ((0,),) * 4
+        minutes = sum(t / fps for _, t, fps, *_ in read) / 60
+        seen = sum(share * t for _, t, _, _, share, _ in read) / max(sum(frames), 1)
         spans = (min(rates), max(rates)), (min(points), max(points))
         licence = SOURCES[name].licence if name in SOURCES else "not known"
-        unread = tuple(size for _, size in items if not isinstance(size, tuple))
-        rows.append(Row(name, kind, len(sizes), minutes, *spans, seen, licence, unread, guesses(noted)))
+        guessed = guesses((path, notes) for path, *_, notes in read)
+        rows.append(Row(name, kind, len(read), minutes, *spans, seen, licence, tuple(unread), guessed))
     return rows
 
 
@@ -171,12 +174,8 @@ def guesses(noted: Iterable[tuple[Path, Sequence[str]]]) -> tuple[str, ...]:
     return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:_MOST]), *more)
 
 
-def _size(loader: Callable, path: Path, reading: Mapping) -> tuple[int, float, int, float, tuple] | Exception:
-    """Frames, frames per second, points, share of points seen, and notes of a recording; or why it cannot be read."""
-    try:
-        value = io.guided(loader, path, reading)
-    except (DataError, MissingData) as error:
-        return error
+def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, float, tuple]:
+    """Frames, frames per second, points, share of points seen, and notes of a recording."""
     if isinstance(value, Motion):
         return value.frames, value.fps, len(value.skeleton), 1.0, value.notes
     mask = value.valid if isinstance(value, Positions) else value.visible
@@ -216,7 +215,9 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
         if suffix in SUFFIXES:
             yield suffix[1:], path, SUFFIXES[suffix]
         elif suffix in _TEXTS:
-            head = _head(path)
+            head = b'"Frames"'  # of one that cannot be opened, its loader says so
+            with suppress(OSError), path.open("rb") as file:
+                head = file.read(4096)
             if b'"people"' in head and path.parent not in views:
                 views.add(path.parent)
                 yield "openpose", path.parent, partial(openpose.load, fps=video_fps)
@@ -227,12 +228,3 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
 def _below(place: Path, flat: bool) -> list[Path]:
     paths = [place] if place.is_file() else place.glob("*") if flat else place.rglob("*")
     return sorted(path for path in paths if path.is_file())
-
-
-def _head(path: Path) -> bytes:
-    """The first bytes of a JSON file; of one that cannot be opened, a key whose loader will say so."""
-    try:
-        with path.open("rb") as file:
-            return file.read(4096)
-    except OSError:
-        return b'"Frames"'
