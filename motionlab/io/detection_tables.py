@@ -178,7 +178,7 @@ def from_trc(at: Location, text: str) -> Detections:
 def from_npz(at: Location) -> Detections:
     """Reads the plain layout that ``keypoints`` describes; an array that is pickled is never opened."""
     keys = ("keypoints", "positions_2d", "confidence", "scores", "names", "fps", "size", "ids")  # the second is pickled
-    arrays = read_npz(at, keys, plain=PLAIN)
+    arrays = read_npz(at, keys)
     if "keypoints" not in arrays:
         remedy = f"unpack it, if it is a folder's archive, and name the folder; else {PLAIN}"
         raise at.error("the key keypoints is missing", place="keys", remedy=remedy)

@@ -103,12 +103,10 @@ def _of_glb(at: Location, data: bytes) -> tuple[bytes, bytes]:
     found, start = {}, 12
     while start + 8 <= len(data):
         size, kind = struct.unpack_from("<I4s", data, start)
-        if start + 8 + size > len(data):
-            raise at.error(f"chunk {kind!r} promises {size} bytes, past the end", place=f"byte {start}")
         found.setdefault(kind, data[start + 8 : start + 8 + size])
         start += 8 + size
-    if JSON_CHUNK not in found:
-        raise at.error("no JSON chunk", place="header")
+    if start > len(data) or JSON_CHUNK not in found:
+        raise at.error(f"its chunks {[*found]} end at byte {start} of {len(data)}", place="header")
     return found[JSON_CHUNK], found.get(BIN_CHUNK, b"")
 
 

@@ -26,7 +26,7 @@ def read_pickle(at: Location, data: bytes) -> object:
     """Reads a pickle, or what joblib (packed or not), torch or numpy.save wrote: containers of what :func:`array_of`
     takes; of a .npy its array, or of one of objects the first. What asks for anything else is refused."""
     if data[:6] == b"\x93NUMPY":
-        return read_npy(at, data, objects=_first)
+        return read_npy(at, data, _first)
     at.place = "pickle"
     if data[:3] == b"BZh" or data[:6] == b"\xfd7zXZ\x00" or data[:2] == b"]\x00":
         raise at.error("packed by bz2 or lzma", remedy="pack it as zlib: joblib.dump(..., compress=3)")
@@ -83,11 +83,8 @@ def _record(name: str) -> type[_Record]:
     return type("Record", (_Record,), {"name": name.rpartition(".")[2]})
 
 
-#: Modules by the name that they have now.
-_MOVED = {
-    "__builtin__": "builtins", "copy_reg": "copyreg", "numpy.core.multiarray": "numpy._core.multiarray",
-    "numpy.core.numeric": "numpy._core.numeric",
-}  # fmt: skip
+#: Modules of Python 2 by the name that they have now.
+_MOVED = {"__builtin__": "builtins", "copy_reg": "copyreg"}
 #: What is built of a name: containers, bytes, and records of numpy's arrays, torch's tensors and joblib's arrays, which
 #: lie in the file behind their records.
 _BUILT = {
@@ -113,7 +110,7 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
         self.at, self.dispatch = at, pickle._Unpickler.dispatch | {pickle.BUILD[0]: _Reader.load_build}
 
     def find_class(self, module: str, name: str):
-        full = f"{_MOVED.get(module, module)}.{name}"
+        full = f"{_MOVED.get(module, module.replace('numpy.core.', 'numpy._core.'))}.{name}"
         if full in _BUILT:
             return _BUILT[full]
         if sparse := _SPARSE.fullmatch(full):

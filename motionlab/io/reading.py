@@ -108,13 +108,11 @@ def read_json(at: Location, *, nan: bool = False) -> object:
     return json.loads(read_text(at), parse_constant=refuse)
 
 
-def read_npz(
-    at: Location, keys: tuple[str, ...] | None = None, *, plain: str = "save plain arrays only"
-) -> dict[str, np.ndarray]:
+def read_npz(at: Location, keys: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
     """Reads the arrays of an npz by key: those of ``keys`` that are there, or all.
 
-    Never unpickles: an array of Python objects is refused, ``plain`` the remedy; one that nobody asked for is not
-    touched. One that is too large, or shorter than it promises, is refused before memory is asked for.
+    Never unpickles: an array of Python objects is refused; one that nobody asked for is not touched. One that is too
+    large, or shorter than it promises, is refused before memory is asked for.
     """
     if read_bytes(at)[:2] != b"PK":
         raise at.error("not an npz archive", remedy="save it with numpy.savez")
@@ -126,7 +124,7 @@ def read_npz(
                 continue
             if member.file_size > LARGEST:
                 raise at.error(f"{member.file_size} bytes are more than {LARGEST}")
-            arrays[key] = read_npy(at, archive.read(member), plain=plain)
+            arrays[key] = read_npy(at, archive.read(member))
     at.place = ""
     return arrays
 
@@ -138,9 +136,7 @@ def check_keys(at: Location, arrays: dict[str, object], keys: Iterable[str]) -> 
         raise at.error(f"missing {missing}; found {', '.join(arrays) or 'none that is known'}", place=missing)
 
 
-def read_npy(
-    at: Location, data: bytes, *, plain: str = "save plain arrays only", objects: Callable | None = None
-) -> object:
+def read_npy(at: Location, data: bytes, objects: Callable | None = None) -> object:
     """Reads the array of a .npy; of one of Python objects what ``objects(at, pickle)`` makes, else it is refused."""
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
@@ -151,7 +147,7 @@ def read_npy(
     if dtype.hasobject and objects is not None:
         return objects(at, stream.read())
     if dtype.hasobject:
-        raise at.error("holds pickled Python objects, which are never loaded", remedy=plain)
+        raise at.error("holds pickled Python objects, which are never loaded", remedy="save plain arrays: numpy.savez")
     if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize > len(data):
         raise at.error(f"promises shape {shape} of {dtype} but has only {len(data)} bytes")
     array = np.frombuffer(stream.read(), dtype=dtype, count=math.prod(shape))

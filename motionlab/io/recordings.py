@@ -37,14 +37,6 @@ class Recording(NamedTuple):
     loader: Callable[[Path], Motion | Positions | Observation2D]
 
 
-@dataclass(frozen=True)
-class Source:
-    """A known source: its licence, and its files by kind -> (pattern within the source's folder, loader)."""
-
-    licence: str
-    files: dict[str, tuple[str, Callable]]
-
-
 def _captury_view(path: Path) -> Observation2D:
     """Reads one ``projectedNN.csv`` with the camera NN of the camera.calib beside it; video 1920 wide at 50 fps."""
     with reading(path, "keep it beside the camera.calib that lists its camera"):
@@ -52,26 +44,27 @@ def _captury_view(path: Path) -> Observation2D:
     return points.load_projected(path, camera=camera, fps=50)
 
 
-#: What is known of each source of the data set; see its SOURCE.txt for citation and format.
-SOURCES: dict[str, Source] = {
-    "bandai_namco": Source("CC BY-NC 4.0", {"bvh": ("*.bvh", bvh.load)}),
-    "anidance": Source("mocap without licence: evaluate only", {"npz": ("*.npz", points.load_anidance)}),
-    "cmu_amc": Source("CMU terms, credit", {"amc": ("*.amc", asf.load_beside)}),
-    "cmu_library": Source("CMU terms, credit", {"bvh": ("*/*.bvh", bvh.load)}),
-    "cmu_native": Source("CMU terms, credit", {"amc": ("*/*.amc", asf.load_beside)}),
-    "deepmimic": Source("MIT", {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
-    "captury_falls": Source("free for research: evaluate only", {
+#: Of each known source its licence, and its files by kind: the pattern within its folder, and a loader. Its SOURCE.txt
+#: has citation and format.
+SOURCES: dict[str, tuple[str, dict[str, tuple[str, Callable]]]] = {
+    "bandai_namco": ("CC BY-NC 4.0", {"bvh": ("*.bvh", bvh.load)}),
+    "anidance": ("mocap without licence: evaluate only", {"npz": ("*.npz", points.load_anidance)}),
+    "cmu_amc": ("CMU terms, credit", {"amc": ("*.amc", asf.load_beside)}),
+    "cmu_library": ("CMU terms, credit", {"bvh": ("*/*.bvh", bvh.load)}),
+    "cmu_native": ("CMU terms, credit", {"amc": ("*/*.amc", asf.load_beside)}),
+    "deepmimic": ("MIT", {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
+    "captury_falls": ("free for research: evaluate only", {
         "c3d": ("*/mocap.c3d", points.load_c3d), "csv": ("*/biomech.csv", partial(points.load_biomech, fps=50)),
         "2d": ("*/projected*.csv", _captury_view)}),
-    "reactidle": Source("MIT", {"bvh": ("*.bvh", bvh.load)}),
-    "animated_drawings": Source("MIT", {"bvh": ("*.bvh", bvh.load)}),
-    "isaacgym_amp_cmu": Source("BSD-3 + CMU terms", {"npz": ("*.npz", clips.load_amp)}),
-    "pose2sim_openpose": Source("BSD-3", {
+    "reactidle": ("MIT", {"bvh": ("*.bvh", bvh.load)}),
+    "animated_drawings": ("MIT", {"bvh": ("*.bvh", bvh.load)}),
+    "isaacgym_amp_cmu": ("BSD-3 + CMU terms", {"npz": ("*.npz", clips.load_amp)}),
+    "pose2sim_openpose": ("BSD-3", {
         "openpose": ("*/cam*_json", partial(openpose.load, fps=60, layout="BODY_25B")),
         "trc": ("ref3d/*.trc", points.load_trc)}),
     # two whose rate is not stored: 30 is presumed; the first is of a webcam
-    "3dance_openpose": Source("MIT", {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
-    "openpose_crowd": Source("MIT", {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
+    "3dance_openpose": ("MIT", {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
+    "openpose_crowd": ("MIT", {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
 }  # fmt: skip
 
 
@@ -156,7 +149,7 @@ def inventory(
         minutes = sum(t / fps for _, t, fps, *_ in read) / 60
         seen = sum(share * t for _, t, _, _, share, _ in read) / max(sum(frames), 1)
         spans = (min(rates), max(rates)), (min(points), max(points))
-        licence = SOURCES[name].licence if name in SOURCES else "not known"
+        licence = SOURCES[name][0] if name in SOURCES else "not known"
         guessed = guesses((path, notes) for path, *_, notes in read)
         rows.append(Row(name, kind, len(read), minutes, *spans, seen, licence, tuple(unread), guessed))
     return rows
@@ -205,7 +198,7 @@ def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterato
 
 def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Iterator[tuple[str, Path, Callable]]:
     if name in SOURCES:
-        for kind, (pattern, loader) in SOURCES[name].files.items():
+        for kind, (pattern, loader) in SOURCES[name][1].items():
             for path in [place] if pattern == "." else sorted(place.glob(pattern)):
                 yield kind, path, loader
         return
