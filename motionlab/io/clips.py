@@ -65,10 +65,7 @@ def load_amp(path: str | Path) -> Motion:
         quaternion = checked_array(at, arrays[_AMP_ROTATION], f"T {len(skeleton)} 4", place=_AMP_ROTATION)
         root = checked_array(at, arrays["root_translation"], f"{len(quaternion)} 3", place="root_translation")
         rot = _rotations(at, quaternion[..., [3, 0, 1, 2]], skeleton.names, 0.05)
-        is_local = arrays["is_local"]
-        if is_local.size != 1 or is_local.dtype.kind not in "biu":
-            raise at.error(f"expected true or false, got {is_local!r}", place="is_local")
-        if not is_local.item():
+        if not checked_array(at, arrays["is_local"].reshape(-1), "1", "is_local")[0]:
             rot = skeleton.local(rot)
         fps = frame_rate(at, arrays["fps"], "fps")
         return Motion(skeleton, torch.from_numpy(root).float(), rot.float(), fps, name=at.path.stem)

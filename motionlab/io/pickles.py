@@ -119,9 +119,6 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
             return _record("chumpy")
         raise _refused(self.at, f"{module}.{name}")
 
-    def persistent_load(self, pid):
-        raise self.at.error("refers to objects outside the file", place="pickle")
-
     def load_build(self) -> None:
         state, record = self.stack.pop(), self.stack[-1]
         if not isinstance(record, _Record):  # a function of this module would take what it is told
