@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import permutations
 
 import torch
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -24,7 +24,8 @@ SQUARE, MOVED = "movement, by right angles", "movement"
 
 _BODY = torch.eye(3, dtype=torch.float64)  # left, up, front
 _SKY = _BODY[2]  # the world is z up
-_RIGHT_ANGLES = torch.from_numpy(Rotation.create_group("O").as_matrix()).round()
+_PAIRS = [(a, b) for a, b in permutations([*_BODY, *-_BODY], 2) if a @ b == 0]
+_RIGHT_ANGLES = torch.stack([torch.stack((a, b, torch.linalg.cross(a, b))) for a, b in _PAIRS])
 _SQUARE = 0.15  # radians: bones and hinges as near to an axis of their joint, on the whole, are meant to lie on it
 _LIKE = 1.3  # radians: joints of such a rig whose means differ by less are turned alike; hands and heads hang
 _STRAIGHT = 0.02  # a limb that bends less on the whole says little of its hinge
