@@ -26,7 +26,7 @@ def read_pickle(at: Location, data: bytes) -> object:
     """Reads a pickle, or what joblib (packed or not), torch or numpy.save wrote: containers of what :func:`array_of`
     takes; of a .npy its array, or of one of objects the first. What asks for anything else is refused."""
     if data[:6] == b"\x93NUMPY":
-        return read_npy(at, data, _first)
+        return read_npy(at, data, first_object)
     at.place = "pickle"
     if data[:3] == b"BZh" or data[:6] == b"\xfd7zXZ\x00" or data[:2] == b"]\x00":
         raise at.error("packed by bz2 or lzma", remedy="pack it as zlib: joblib.dump(..., compress=3)")
@@ -42,7 +42,8 @@ def read_pickle(at: Location, data: bytes) -> object:
     return _Reader(at, data).load()
 
 
-def _first(at: Location, data: bytes) -> object:
+def first_object(at: Location, data: bytes) -> object:
+    """Reads the first object of the pickle of an array of objects."""
     array = read_pickle(at, data)
     if not (isinstance(array, _Record) and array.name == "_reconstruct" and array.state and array.state[-1]):
         raise at.error("an array of objects without an object", place="pickle")
