@@ -182,7 +182,7 @@ def frame_motion(
         pixels, depth = project(camera, cloud)
         if (depth > 0.3).all() and ((pixels > 0) & (pixels < pixels.new_tensor([width, height]))).all():
             return camera
-    raise NotConverged("no distance up to 200 m shows the whole motion", [distance])
+    raise NotConverged("no distance up to 200 m shows the whole motion")
 
 
 def _part(name: str) -> str:

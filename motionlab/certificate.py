@@ -1,8 +1,4 @@
-"""Certifies rigs: whether a recording on the standard 22 joints says again what the file said.
-
-for row in certificate.certify(motions):
-    print(row.names, row.place, row.angle, row.holds)
-"""
+"""Certifies rigs: whether a recording on the standard 22 joints says again what the file said."""
 
 from __future__ import annotations
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -36,15 +35,7 @@ class MissingData(FileNotFoundError):
 
 
 class NotConverged(RuntimeError):
-    """A procedure stopped before its tolerance was met; ``history`` holds the objective per iteration."""
-
-    def __init__(self, message: str, history: Sequence[float]) -> None:
-        self.history = list(history)
-        super().__init__(message)
-
-    def __reduce__(self) -> tuple:
-        """As it comes out of another process."""
-        return type(self), (*self.args, self.history)
+    """A procedure stopped before its tolerance was met."""
 
 
 def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:
@@ -52,10 +43,6 @@ def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:
 
     The pattern is words separated by spaces: ``...`` (first only) for any batch axes, a number for
     a fixed size, a name for a free one. A name that occurs twice must have one size.
-
-    >>> import torch
-    >>> check_shape(torch.zeros(7, 22, 3), "... J 3", "positions")
-    {'J': 22}
 
     Raises:
         ShapeError: naming the tensor, the expected and the actual shape.

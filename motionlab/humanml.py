@@ -40,7 +40,8 @@ _FEET = (7, 10, 8, 11)
 
 def features(joints: Tensor) -> Tensor:
     """Computes the 263 numbers (T - 1, 263) of joints (T, 22, 3) that begin as :func:`begun` puts them."""
-    joints = _checked(joints).double()
+    check_shape(joints, f"T {JOINTS} 3", "joints")
+    joints = joints.double()
     root, step = joints[:, 0], joints[1:] - joints[:-1]
     turn = _facing(joints)
     face = rotation.rotation_about("y", turn)
@@ -80,7 +81,8 @@ def joints_of(numbers: Tensor) -> Tensor:
 
 def begun(joints: Tensor) -> Tensor:
     """Puts joints (T, 22, 3) on the floor, the first root over the origin and facing +z, as HumanML3D has them."""
-    joints = _checked(joints).double()
+    check_shape(joints, f"T {JOINTS} 3", "joints")
+    joints = joints.double()
     across = joints[0, 2] - joints[0, 1] + joints[0, 17] - joints[0, 16]
     turn = rotation.rotation_about("y", -torch.atan2(across[2], -across[0]))
     shift = torch.stack((joints[0, 0, 0], joints[..., 1].min(), joints[0, 0, 2]))
@@ -93,7 +95,8 @@ def motion_of(joints: Tensor, fps: float = FPS, name: str = "") -> Motion:
     Where several bones leave a joint, its rotation is the best for all of them; where one does, the nearest to the
     joint above, for how a limb is twisted cannot be seen from places.
     """
-    joints = _checked(joints).double()
+    check_shape(joints, f"T {JOINTS} 3", "joints")
+    joints = joints.double()
     tree, bones = STANDARD.parents, [joints[:, j] - joints[:, max(STANDARD.parents[j], 0)] for j in range(JOINTS)]
     offsets = torch.nn.functional.normalize(STANDARD.offsets.double(), dim=-1)
     offsets = offsets * torch.stack([bone.norm(dim=-1).mean() for bone in bones])[:, None]
@@ -130,11 +133,6 @@ def save(path: str | Path, motion: Motion, *, as_features: bool = False) -> None
     stream = io.BytesIO()
     np.save(stream, (features(joints) if as_features else joints).float().numpy())
     write_whole(path, stream.getvalue())
-
-
-def _checked(joints: Tensor) -> Tensor:
-    check_shape(joints, f"T {JOINTS} 3", "joints")
-    return joints
 
 
 def _facing(joints: Tensor) -> Tensor:

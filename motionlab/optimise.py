@@ -342,7 +342,7 @@ class _Machine:
         value, gradient = self.evaluate(at, live)
         usable = value.isfinite() & gradient.isfinite().all(-1)
         if not self.history and not usable.any():
-            raise NotConverged("no clip has a finite energy and gradient at the start", value.tolist())
+            raise NotConverged("no clip has a finite energy and gradient at the start")
         self.history.append(value)
         better = usable & (value < self.best_energy)
         self.best_energy = torch.where(better, value, self.best_energy)

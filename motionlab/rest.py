@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import permutations, product
+from itertools import permutations
 
 import torch
 from torch import Tensor
@@ -24,12 +24,8 @@ SQUARE, MOVED = "movement, by right angles", "movement"
 
 _BODY = torch.eye(3, dtype=torch.float64)  # left, up, front
 _SKY = _BODY[2]  # the world is z up
-_RIGHT_ANGLES = [
-    turn
-    for order in permutations(range(3))
-    for signs in product((1.0, -1.0), repeat=3)
-    if torch.linalg.det(turn := _BODY[list(order)] * torch.tensor(signs, dtype=torch.float64)[:, None]) > 0
-]
+_PAIRS = [(a, b) for a, b in permutations([*_BODY, *-_BODY], 2) if a @ b == 0]
+_RIGHT_ANGLES = torch.stack([torch.stack((a, b, torch.linalg.cross(a, b))) for a, b in _PAIRS])
 _SQUARE = 0.15  # radians: bones and hinges as near to an axis of their joint, on the whole, are meant to lie on it
 _LIKE = 1.3  # radians: joints of such a rig whose means differ by less are turned alike; hands and heads hang
 _STRAIGHT = 0.02  # a limb that bends less on the whole says little of its hinge
@@ -61,7 +57,7 @@ def rest_poses(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Te
     """
     for source, pose in _candidates(motion, joints):
         if pose is not None:
-            rest = places_of(motion.skeleton, pose)
+            rest = motion.skeleton.rest_positions(pose)
             if _stands(rest, joints) and (source != FIRST or _points(rest, joints, _IN_A_T, 0.94, needed=True)):
                 yield source, pose, rest
 
@@ -89,14 +85,6 @@ def looks_ahead(motion: Motion, joints: dict[str, int]) -> bool:
     return bool(((knee - (hip + ankle) / 2 + toes).mean(1) * front).sum(-1).mean() > 0)
 
 
-def places_of(skeleton: Skeleton, pose: Tensor) -> Tensor:
-    """Computes where the joints are (J, 3), metres from the root, if they are turned so (J, 3, 3)."""
-    rest = torch.zeros(len(skeleton), 3, dtype=torch.float64)
-    for j, parent in enumerate(skeleton.parents[1:], start=1):
-        rest[j] = rest[parent] + pose[parent].double() @ skeleton.offsets[j].double()
-    return rest
-
-
 def reframed(skeleton: Skeleton, rot: Tensor, frames: Tensor) -> tuple[Skeleton, Tensor]:
     """Computes offsets and rotations (T, J, 3, 3) of the same movement where ``frames`` (J, 3, 3) is the zero pose."""
     above = torch.cat((_BODY[None], frames[list(skeleton.parents[1:])]))
@@ -108,7 +96,7 @@ def reframed(skeleton: Skeleton, rot: Tensor, frames: Tensor) -> tuple[Skeleton,
 def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: float = 0.9) -> Tensor | None:
     """A pose (J, 3, 3) in any axes, seen in the body's own, which are read off it: up and left are axes of the file
     where they nearly are, left by a cosine of ``near``."""
-    rest = places_of(skeleton, pose)
+    rest = skeleton.rest_positions(pose)
     hips = rest[joints["left_hip"]], rest[joints["right_hip"]]
     left = hips[0] - hips[1]
     ankles = rest[joints["left_ankle"]] + rest[joints["right_ankle"]]
@@ -133,14 +121,9 @@ def _stands(rest: Tensor, joints: dict[str, int]) -> bool:
 
 
 def _points(rest: Tensor, joints: dict[str, int], bones: tuple, cosine: float, needed: bool = False) -> bool:
-    for direction, a, b in bones:
-        if a in joints and b in joints:
-            bone = rest[joints[b]] - rest[joints[a]]
-            if bone @ direction < cosine * bone.norm():
-                return False
-        elif needed:
-            return False
-    return True
+    there = [(way, rest[joints[b]] - rest[joints[a]]) for way, a, b in bones if a in joints and b in joints]
+    found = len(there) == len(bones) or not needed
+    return found and all(bone @ way >= cosine * bone.norm() for way, bone in there)
 
 
 # --------------------------------------------------------------------------------------------------- from movement
@@ -218,7 +201,7 @@ def _axes(first: Tensor, second: Tensor) -> Tensor:
 
 def _square(turn: Tensor) -> Tensor:
     """The nearest turn by right angles."""
-    return max(_RIGHT_ANGLES, key=lambda right: float((right * turn).sum()))
+    return _RIGHT_ANGLES[(_RIGHT_ANGLES * turn).sum((1, 2)).argmax()]
 
 
 def _is_square(means: Tensor, joints: dict[str, int]) -> bool:

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.contact import contacts_from_positions
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.ik import two_bone_ik
 from motionlab.motion import Motion
@@ -38,11 +37,6 @@ class Match:
     source: str
     rest_rot: Tensor
     rest: Tensor
-
-    @property
-    def flat_feet(self) -> bool:
-        """Whether the rest pose is a figure's, whose soles are flat."""
-        return self.source not in (SQUARE, MOVED)
 
 
 def match_joints(motion: Motion) -> Match:
@@ -82,8 +76,7 @@ class Retargeted:
     floor shift; what hangs on a joint that is lost counts as well. per_joint: the same for each of them.
     names: standard name -> source name. unmapped: standard joints that the source lacks; they keep their
     parent's orientation. scale: size of the target over the size of the file's figure. floor: metres by which
-    the motion was raised. skate: slide of resting feet in mm per frame, source and target; NaN where no foot
-    rests. notes: what had to be decided.
+    the motion was raised. notes: what had to be decided.
     """
 
     motion: Motion
@@ -93,7 +86,6 @@ class Retargeted:
     unmapped: tuple[str, ...]
     scale: float
     floor: float
-    skate: tuple[float, float]
     notes: tuple[str, ...]
 
 
@@ -192,7 +184,6 @@ def retarget(
         unmapped=unmapped,
         scale=scale,
         floor=lift,
-        skate=_skates(target, where),
         notes=tuple(notes),
     )
 
@@ -295,14 +286,6 @@ def _lost(body: Match, skeleton: Skeleton, positions: Tensor, world: Tensor) -> 
     return off
 
 
-def _skates(target: Motion, where: dict[str, Tensor]) -> tuple[float, float]:
-    """Slide in mm per frame of source and target, where the source's feet (balls, else ankles) rest."""
-    feet = [name for name in FEET[2:] if name in where] or list(FEET[:2])
-    before, after = torch.stack([where[foot] for foot in feet], 1), target.positions[:, STANDARD.indices(feet)]
-    rests = _resting(before, target.fps)
-    return _skate(before, rests), _skate(after, rests)
-
-
 def _planted(target: Motion, where: dict[str, Tensor]) -> Tensor:
     """Where the target's ankles (T, 2, 3) go: the source's, shifted level so that the balls lie over the source's."""
     goals = []
@@ -326,24 +309,20 @@ def _leg_length_of(skeleton: Skeleton) -> float:
     return float(skeleton.offsets[bones].norm(dim=-1).sum()) / 2
 
 
-def _child(name: str, mapped: dict[str, int]) -> str | None:
-    children = [n for n, p in zip(STANDARD.names, STANDARD.parents, strict=True) if p == STANDARD.index(name)]
-    return children[0] if len(children) == 1 and children[0] in mapped else None
-
-
 def _corrections(body: Match) -> Tensor:
     """S (22, 3, 3): from the T-pose's bone to the source's bone in its rest pose, in body axes.
 
     Limbs follow their bone. The trunk, whose joints carry several bones, keeps the rest pose's axes, and so
-    does a foot whose sole is flat at rest; hands follow the forearm.
+    does a foot whose sole is flat at rest, as a figure's is; hands follow the forearm.
     """
+    limbs = (*_LIMBS, *(["ankle"] if body.source in (SQUARE, MOVED) else []))
     corrections: list[Tensor] = []
     for joint, name in enumerate(STANDARD.names):
-        part, child = name.rpartition("_")[2], _child(name, body.joints)
-        parent = STANDARD.parents[joint]
+        part, parent = name.rpartition("_")[2], STANDARD.parents[joint]
+        child = next((n for n, p in zip(STANDARD.names, STANDARD.parents, strict=True) if p == joint), "")
         if name not in body.joints or part == "wrist":
             corrections.append(corrections[parent] if parent >= 0 else _EYE)
-        elif child and (part in _LIMBS or (part == "ankle" and not body.flat_feet)):
+        elif child in body.joints and part in limbs:
             bone = body.rest[body.joints[child]] - body.rest[body.joints[name]]
             corrections.append(rotation.rotation_between(STANDARD.offsets[STANDARD.index(child)].double(), bone))
         else:
@@ -382,22 +361,3 @@ def _source_proportions(body: Match, correction: Tensor, standing: Skeleton, sca
         for joint, share in zip(way, shares, strict=True):
             offsets[joint] = share * straight
     return replace(standing, offsets=offsets)
-
-
-def _resting(points: Tensor, fps: float) -> Tensor:
-    """Where points (T, F, 3) rest on the floor: (T, F) bool.
-
-    The project's contacts (:func:`motionlab.contact.contacts_from_positions`), with each point's own low
-    (2 % of its heights are lower) as its height on the floor: a file's floor need not be at 0.
-    """
-    if len(points) < 2:
-        return torch.zeros_like(points[..., 2], dtype=torch.bool)
-    low = torch.quantile(points[..., 2], 0.02, dim=0)
-    return contacts_from_positions(points, fps, low) > 0
-
-
-def _skate(points: Tensor, rests: Tensor) -> float:
-    """Mean horizontal slide of points (T, F, 3), mm per frame, over steps whose two frames rest (T, F); NaN if none."""
-    both = rests[1:] & rests[:-1]
-    step = points[1:, :, :2] - points[:-1, :, :2]
-    return 1000 * float(step.norm(dim=-1)[both].mean()) if both.any() else float("nan")

@@ -53,6 +53,7 @@ _PARTS = {word: part for part, ranks in _RANKS.items() for word in ranks}
 _ALIKE = {"leg": ("thigh", "shin", "ankle"), "arm": ("upperarm", "forearm", "wrist")}
 _PART = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[ぁ-ヶ一-龠ー]+")
 _COUNTS = {"collar": 0.9, "foot": 0.9}  # a lone shoulder is a shoulder, a lone foot an ankle
+_LISTED = 40  # names that are told of a file
 _SHARED = 6  # names that a prefix is common to
 _MOST = 8  # joints of one part to choose among, and words of a name to read: more are a jest
 
@@ -81,9 +82,11 @@ def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
     missing = [name for name in NEEDED if name not in found]
     if missing:
         told = ", ".join(f"{name} = {skeleton.names[j]}" for name, j in found.items()) or "nothing"
+        called, more = ", ".join(skeleton.names[:_LISTED]), len(skeleton) - _LISTED
+        called += f" and {more} more" if more > 0 else ""
         blank = json.dumps({name: skeleton.names[found[name]] if name in found else "" for name in STANDARD.names})
         raise DataError(
-            f"its joints are called {_listed(skeleton.names)}: found {told}; missing {', '.join(missing)}",
+            f"its joints are called {called}: found {told}; missing {', '.join(missing)}",
             path=path,
             place="joint names",
             remedy="say what is what by names=, on the command line --names FILE.json, and leave out what the file "
@@ -126,10 +129,6 @@ def _turns_at_the_neck(skeleton: Skeleton, found: dict[str, int]) -> bool:
         return False
     head, left, right = skeleton.offsets[joints].double()
     return bool((head - (left + right) / 2).norm() < 0.3 * (left - right).norm())
-
-
-def _listed(names: Sequence[str], most: int = 40) -> str:
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 @lru_cache(maxsize=64)

@@ -50,8 +50,7 @@ class Skeleton:
         for joint, parent in enumerate(self.parents):
             if not (-1 <= parent < joint) or (parent == -1) != (joint == 0):
                 raise ShapeError(f"parents[{joint}] = {parent}: one root first, then parents before children")
-        for name in self.contact_names:
-            self.index(name)
+        self.indices(self.contact_names)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -77,26 +76,18 @@ class Skeleton:
         return self.indices(self.contact_names)
 
     @cached_property
-    def levels(self) -> list[tuple[list[int], list[int]]]:
-        """Joints by depth below the root: [(joints, their parents), ...], root left out."""
-        depth = [0] * len(self)
-        for joint, parent in enumerate(self.parents[1:], start=1):
-            depth[joint] = depth[parent] + 1
-        rows = [[j for j, d in enumerate(depth) if d == level] for level in range(1, max(depth) + 1)]
-        return [(row, [self.parents[j] for j in row]) for row in rows]
-
-    @cached_property
     def level_order(self) -> tuple[Tensor, Tensor, list[int], list[Tensor | None]]:
         """What :func:`fk` walks along: joints sorted by level, the way back, how many joints each level has (the
         root's first), and for each level below it the rows of its parents inside the level before (None: all of
         them, in order)."""
-        device = self.offsets.device
-        order, before, rows = [0], [0], []
-        for joints, parents in self.levels:
-            rows.append(None if parents == before else torch.tensor([before.index(p) for p in parents], device=device))
-            order, before = order + joints, joints
-        sorted_joints = torch.tensor(order, device=device)
-        return sorted_joints, sorted_joints.argsort(), [1, *(len(joints) for joints, _ in self.levels)], rows
+        levels, rows = [[0]], []
+        while below := [joint for joint, parent in enumerate(self.parents) if parent in levels[-1]]:
+            parents = [levels[-1].index(self.parents[joint]) for joint in below]
+            same = parents == [*range(len(levels[-1]))]
+            rows.append(None if same else torch.tensor(parents, device=self.offsets.device))
+            levels.append(below)
+        order = torch.tensor([joint for level in levels for joint in level], device=self.offsets.device)
+        return order, order.argsort(), [len(level) for level in levels], rows
 
     @cached_property
     def mirror_indices(self) -> list[int]:
@@ -112,11 +103,13 @@ class Skeleton:
             above[joint] |= above[parent]
         return above
 
-    def rest_positions(self) -> Tensor:
-        """Computes joint positions (..., J, 3) of the rest pose, metres, rest frame, root at the origin."""
+    def rest_positions(self, turned: Tensor | None = None) -> Tensor:
+        """Computes joint positions (..., J, 3) of the rest pose, metres, rest frame, root at the origin; or where every
+        joint is ``turned`` (J, 3, 3) against that frame, of offsets (J, 3)."""
         positions = [torch.zeros_like(self.offsets[..., 0, :])]
-        for joint in range(1, len(self)):
-            positions.append(positions[self.parents[joint]] + self.offsets[..., joint, :])
+        for joint, parent in enumerate(self.parents[1:], start=1):
+            bone = self.offsets[..., joint, :]
+            positions.append(positions[parent] + (bone if turned is None else turned[parent] @ bone))
         return torch.stack(positions, dim=-2)
 
     def standing_height(self) -> Tensor:
@@ -176,43 +169,36 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
     )
 
 
-def _standard() -> Skeleton:
-    table = [  # name, parent, offset in metres; the proportions of anny's average adult, straightened to a T
-        ("pelvis", -1, (0.0, 0.0, 0.0)),
-        ("left_hip", 0, (0.1146, -0.0092, -0.0081)),
-        ("right_hip", 0, (-0.1146, -0.0092, -0.0081)),
-        ("spine1", 0, (0.0, 0.0854, -0.0397)),
-        ("left_knee", 1, (0.0, -0.4475, 0.0)),
-        ("right_knee", 2, (0.0, -0.4475, 0.0)),
-        ("spine2", 3, (0.0, 0.0753, 0.0157)),
-        ("left_ankle", 4, (0.0, -0.4546, 0.0)),
-        ("right_ankle", 5, (0.0, -0.4546, 0.0)),
-        ("spine3", 6, (0.0, 0.0865, 0.0013)),
-        ("left_foot", 7, (0.0054, -0.0710, 0.1380)),
-        ("right_foot", 8, (-0.0054, -0.0710, 0.1380)),
-        ("neck", 9, (0.0, 0.3387, 0.0177)),
-        ("left_collar", 9, (0.0247, 0.2606, 0.0358)),
-        ("right_collar", 9, (-0.0247, 0.2606, 0.0358)),
-        ("head", 12, (0.0, 0.1089, 0.0381)),
-        ("left_shoulder", 13, (0.1622, -0.0236, -0.0041)),
-        ("right_shoulder", 14, (-0.1622, -0.0236, -0.0041)),
-        ("left_elbow", 16, (0.2872, 0.0, 0.0)),
-        ("right_elbow", 17, (-0.2872, 0.0, 0.0)),
-        ("left_wrist", 18, (0.2580, 0.0, 0.0)),
-        ("right_wrist", 19, (-0.2580, 0.0, 0.0)),
-    ]
-    sides = [f"{side}_{part}" for part in ("knee", "ankle", "foot", "wrist") for side in ("left", "right")]
-    return Skeleton(
-        names=tuple(name for name, _, _ in table),
-        parents=tuple(parent for _, parent, _ in table),
-        offsets=torch.tensor([offset for _, _, offset in table]),
-        contact_names=("pelvis", *sides),  # HuMoR's nine, in HuMoR's order
-        sole=0.0097,
-    )
-
-
-#: The 22-joint standard: SMPL's body joints in SMPL's order.
-STANDARD = _standard()
+_NAMES, _PARENTS, _OFFSETS = zip(
+    # name, parent, offset in metres; the proportions of anny's average adult, straightened to a T
+    ("pelvis", -1, (0.0, 0.0, 0.0)),
+    ("left_hip", 0, (0.1146, -0.0092, -0.0081)),
+    ("right_hip", 0, (-0.1146, -0.0092, -0.0081)),
+    ("spine1", 0, (0.0, 0.0854, -0.0397)),
+    ("left_knee", 1, (0.0, -0.4475, 0.0)),
+    ("right_knee", 2, (0.0, -0.4475, 0.0)),
+    ("spine2", 3, (0.0, 0.0753, 0.0157)),
+    ("left_ankle", 4, (0.0, -0.4546, 0.0)),
+    ("right_ankle", 5, (0.0, -0.4546, 0.0)),
+    ("spine3", 6, (0.0, 0.0865, 0.0013)),
+    ("left_foot", 7, (0.0054, -0.0710, 0.1380)),
+    ("right_foot", 8, (-0.0054, -0.0710, 0.1380)),
+    ("neck", 9, (0.0, 0.3387, 0.0177)),
+    ("left_collar", 9, (0.0247, 0.2606, 0.0358)),
+    ("right_collar", 9, (-0.0247, 0.2606, 0.0358)),
+    ("head", 12, (0.0, 0.1089, 0.0381)),
+    ("left_shoulder", 13, (0.1622, -0.0236, -0.0041)),
+    ("right_shoulder", 14, (-0.1622, -0.0236, -0.0041)),
+    ("left_elbow", 16, (0.2872, 0.0, 0.0)),
+    ("right_elbow", 17, (-0.2872, 0.0, 0.0)),
+    ("left_wrist", 18, (0.2580, 0.0, 0.0)),
+    ("right_wrist", 19, (-0.2580, 0.0, 0.0)),
+    strict=True,
+)
 ANKLES, BALLS = ("left_ankle", "right_ankle"), ("left_foot", "right_foot")  # a "foot" joint is its ball
 #: The contact joints of the feet, in the order of ``STANDARD.contact_names``.
 FEET = (*ANKLES, *BALLS)
+#: HuMoR's nine, in HuMoR's order.
+_CONTACTS = ("pelvis", "left_knee", "right_knee", *FEET, "left_wrist", "right_wrist")
+#: The 22-joint standard: SMPL's body joints in SMPL's order.
+STANDARD = Skeleton(_NAMES, _PARENTS, torch.tensor(_OFFSETS), _CONTACTS, sole=0.0097)

@@ -46,13 +46,13 @@ def tailored(body: BodyModel, skeleton: Skeleton) -> BodyModel:
     bind = body.bind_rot.double()
     stretch, flesh, lift = _stretches(own, theirs)
     stretch = bind @ stretch @ bind.mT
-    centres = _bound(flesh, bind) + (bind @ lift[..., None])[..., 0]
+    centres = flesh.rest_positions(bind) + (bind @ lift[..., None])[..., 0]
     shift = centres - (stretch @ body.joints.double()[..., None])[..., 0]
     weights = body.weights.double()
     turned = (weights @ stretch.flatten(1)).unflatten(1, (3, 3)) @ body.template.double()[..., None]
     # the middle of the hips is where the person's is: the pelvis, which no flesh marks, is somewhere else in it
     template = turned[..., 0] + weights @ shift + _hips(theirs) - _hips(flesh)
-    joints = _bound(theirs, bind)
+    joints = theirs.rest_positions(bind)
     return replace(
         body, template=template.to(body.template), joints=joints.to(body.joints), skeleton=theirs.to(body.joints)
     )
@@ -65,14 +65,6 @@ def _pair(part: str) -> list[int]:
 
 def _hips(skeleton: Skeleton) -> Tensor:
     return skeleton.offsets[_pair("hip")].mean(0)
-
-
-def _bound(skeleton: Skeleton, bind: Tensor) -> Tensor:
-    """Joints (J, 3) in the bind pose, the pelvis at the origin."""
-    joints = [torch.zeros_like(skeleton.offsets[0])]
-    for offset, parent in zip(skeleton.offsets[1:], skeleton.parents[1:], strict=True):
-        joints.append(joints[parent] + bind[parent] @ offset)
-    return torch.stack(joints)
 
 
 def _stretches(own: Skeleton, theirs: Skeleton) -> tuple[Tensor, Skeleton, Tensor]:

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from motionlab.errors import DataError, MissingData, NotConverged, ShapeError, check_shape
+from motionlab.errors import DataError, MissingData, ShapeError, check_shape
 
 
 @pytest.mark.parametrize(
@@ -37,4 +37,3 @@ def test_data_error_names_file_place_and_remedy():
 def test_other_errors_carry_what_helps():
     missing = MissingData("the body", "Run make setup.")
     assert str(missing) == "the body is missing. Run make setup." and missing.how_to_get == "Run make setup."
-    assert NotConverged("stopped", (3.0, 2.0)).history == [3.0, 2.0]

@@ -15,9 +15,9 @@ from motionlab import humanml
 from motionlab.errors import DataError
 from motionlab.io import amass, asf, bvh, clips, gltf, judging, points
 from motionlab.io.judging import Axes, Unit
-from motionlab.io.pickles import read_array
+from motionlab.io.pickles import first_object
 from motionlab.io.points import Positions
-from motionlab.io.reading import checked_array, frame_rate, read_bytes, reading
+from motionlab.io.reading import checked_array, frame_rate, read_bytes, read_npy, reading
 from motionlab.motion import Motion
 from motionlab.rest import looks_ahead
 
@@ -62,7 +62,7 @@ def load_npy(
     """
     judging.check_given(unit, up, axes)
     with reading(path, "save joints (T, 22, 3) or HumanML3D's features (T, 263) with numpy.save") as at:
-        array = read_array(at, read_bytes(at))
+        array = read_npy(at, read_bytes(at), first_object)
         if not isinstance(array, np.ndarray):
             return amass.load(path, person=person, up=up, axes=axes, fps=fps)
         shape = f"T {humanml.SIZE}" if array.ndim == 2 and array.shape[1] == humanml.SIZE else f"T {humanml.JOINTS} 3"

@@ -16,10 +16,10 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import Axes
-from motionlab.io.pickles import array_of, arrays_of, read_array, read_pickle
+from motionlab.io.pickles import array_of, arrays_of, read_pickle
 from motionlab.io.reading import Location, check_writable, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD, Skeleton
+from motionlab.skeleton import STANDARD
 
 #: Joints of a model -> its name. All begin with the same 22: root and 21 body joints.
 MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
@@ -52,7 +52,7 @@ def _arrays(at: Location, person: int) -> tuple[dict[str, np.ndarray], tuple[str
     if data[:2] == b"PK" and b"data.pkl" not in data[:200]:  # torch's archives begin with it
         tree = read_npz(at, _KEYS)
     else:
-        tree = read_array(at, data) if data[:6] == b"\x93NUMPY" else read_pickle(at, data)
+        tree = read_pickle(at, data)
     bodies = _bodies(_by_person(at, tree))
     in_world = [(way, body) for way, body in bodies if "cam" not in way]
     keys = {key for way, body in bodies for key in (*way.split(), *body)}
@@ -158,7 +158,6 @@ def _rate(at: Location, arrays: dict[str, np.ndarray], system: str, usual: float
 def load(
     path: str | Path,
     *,
-    skeleton: Skeleton = STANDARD,
     pelvis_offset: Tensor | None = None,
     person: int = 0,
     up: Axes = None,
@@ -172,7 +171,6 @@ def load(
     not known and the root lies some 0.3 m off (upwards for SMPL); the motion is the same.
 
     Args:
-        skeleton: 22 joints in SMPL's order, such as that of the subject's own body.
         pelvis_offset: (3,) J_0(betas) in metres; None is zero.
         person: whom, of a file of several; the longest first.
         up, axes: instead of z up (GVHMR, WHAM and AIST++: y; TRAM: -y), which is doubted where the heads of the file
@@ -181,10 +179,8 @@ def load(
     Raises:
         DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ;
             nothing that a pickle asks for is executed.
-        ShapeError: the skeleton has not 22 joints, or pelvis_offset is not (3,).
+        ShapeError: pelvis_offset is not (3,).
     """
-    if len(skeleton) != BODY:
-        raise ShapeError(f"skeleton: expected the {BODY} body joints of SMPL, got {len(skeleton)}")
     judging.check_given(None, up, axes)
     with reading(path, _REMEDY) as at:
         arrays, (system, says_up, usual) = _arrays(at, person)
@@ -200,23 +196,25 @@ def load(
         ids = arrays.get("frame_ids", np.zeros(0))
         if ids.size == frames > 1 and (np.diff(ids.ravel().astype(float)) != 1).any():
             at.notes.append("frames are missing in between, which the file joins: see its frame_ids")
-        contacts = arrays.get("contacts")  # not AMASS's own, HuMoR and we add it
-        if contacts is not None:
-            contacts = checked_array(at, contacts, f"{frames} {len(STANDARD.contact_names)}", "contacts")
+        contacts = None
+        if "contacts" in arrays:  # not AMASS's own, HuMoR and we add it
+            contacts = checked_array(at, arrays["contacts"], f"{frames} {len(STANDARD.contact_names)}", "contacts")
             contacts = torch.from_numpy(contacts).float()
         rate = _rate(at, arrays, system, usual) if fps is None else frame_rate(at, fps, "fps")
         fast = rate * np.linalg.norm(np.diff(trans, axis=0), axis=-1).max(initial=0.0)
         far = np.linalg.norm(np.median(trans, axis=0))
         if fast > _FASTEST or far > _FARTHEST:
             at.notes.append(f"{key} moves by up to {fast:.3g} m/s, {far:.3g} m from the origin: is it in metres?")
+        offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
+        check_shape(offset, "3", "pelvis_offset")
         if pelvis_offset is None:
             at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
         if joints > BODY:
             model = MODELS.get(joints, f"{joints} joints")
             at.notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
-        root = torch.from_numpy(trans) + _offset(pelvis_offset)
+        root = torch.from_numpy(trans) + offset.double().cpu()
         rot = rotation.axis_angle_to_matrix(torch.from_numpy(turns[:, :BODY]))
-        motion = Motion(skeleton, root, rot, rate, contacts, at.path.stem, tuple(at.notes))
+        motion = Motion(STANDARD, root, rot, rate, contacts, at.path.stem, tuple(at.notes))
         return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)
 
 
@@ -237,6 +235,8 @@ def save(
         DataError: NaN or infinity, or the file cannot be written.
     """
     check_writable(path, motion)
+    offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
+    check_shape(offset, "3", "pelvis_offset")
     check_shape(motion.rot, f"T {BODY} 3 3", "rot")
     if model not in EXTRA:
         raise ShapeError(f"model: expected one of {', '.join(EXTRA)}, got {model!r}")
@@ -244,7 +244,7 @@ def save(
     poses = torch.cat((turns, turns.new_zeros(len(turns), EXTRA[model])), -1)
     content = {
         "poses": poses.cpu().numpy(),
-        "trans": (motion.root.double().cpu() - _offset(pelvis_offset)).numpy(),
+        "trans": (motion.root.double().cpu() - offset.double().cpu()).numpy(),
         "betas": np.zeros(16) if betas is None else betas.double().cpu().numpy(),
         "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(motion.fps)),
@@ -254,10 +254,3 @@ def save(
     archive = io.BytesIO()
     np.savez_compressed(archive, **content)
     write_whole(path, archive.getvalue())
-
-
-def _offset(pelvis_offset: Tensor | None) -> Tensor:
-    if pelvis_offset is None:
-        return torch.zeros(3, dtype=torch.float64)
-    check_shape(pelvis_offset, "3", "pelvis_offset")
-    return pelvis_offset.double().cpu()

@@ -51,7 +51,7 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
     Raises:
         DataError: either file is at fault; names the file, the line and the remedy.
     """
-    notes: list[str] = []
+    notes = []
     with reading(asf, "take the .asf of the subject again") as at:
         bones, length, asf_degrees = _parse_asf(at, read_text(at))
         if unit is None:
@@ -87,12 +87,12 @@ def load_beside(
     if asf is None and amc.is_file():
         names = [path for path in amc.parent.iterdir() if path.suffix.lower() == ".asf"]
         fits = [path for path in names if amc.stem.lower().startswith(path.stem.lower())]
-        asf = max(fits, key=lambda path: len(path.stem), default=None)
-    if asf is None and amc.is_file():
-        remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
-        missing = amc.with_name(f"{amc.stem.split('_')[0]}.asf")
-        what = "no skeleton file that is called as the .amc begins"
-        raise DataError(what, path=missing, remedy=remedy, place=amc.name)
+        if not fits:
+            remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
+            missing = amc.with_name(f"{amc.stem.split('_')[0]}.asf")
+            what = "no skeleton file that is called as the .amc begins"
+            raise DataError(what, path=missing, remedy=remedy, place=amc.name)
+        asf = max(fits, key=lambda path: len(path.stem))
     return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS[unit] if unit in UNITS else unit)
 
 
@@ -153,31 +153,22 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
 
 def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
     """Takes what a line says of a bone or of the root."""
-    if key == "direction":
-        bone.direction = floats(at, words, 3).tolist()
+    if key in ("direction", "position", "orientation"):
+        setattr(bone, "axis" if key == "orientation" else key, floats(at, words, 3).tolist())
     elif key == "length":
         (bone.length,) = floats(at, words, 1).tolist()
-    elif key == "position":
-        bone.position = floats(at, words, 3).tolist()
-    elif key == "orientation":
-        bone.axis = floats(at, words, 3).tolist()
-    elif key == "axis":
-        bone.axis, bone.axis_order = floats(at, words[:3], 3).tolist(), _order(at, words[3:])
-    elif key == "root axis":
-        bone.axis_order = _order(at, words)
+    elif key in ("axis", "root axis"):
+        if key == "axis":
+            bone.axis, words = floats(at, words[:3], 3).tolist(), words[3:]
+        bone.axis_order = "".join(words).upper()
+        if sorted(bone.axis_order) != ["X", "Y", "Z"]:
+            raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
     elif key in ("dof", "order"):
         bone.dof = [word.lower() for word in words]
         if key == "order" and sorted(bone.dof) != ["rx", "ry", "rz", "tx", "ty", "tz"]:
             raise at.error(f"order must name TX TY TZ RX RY RZ once each, got {' '.join(words)}")
         if key == "dof" and (not set(bone.dof) <= {"rx", "ry", "rz"} or len(set(bone.dof)) != len(bone.dof)):
             raise at.error(f"degrees of freedom must be different ones of rx ry rz, got {' '.join(words)}")
-
-
-def _order(at: Location, words: list[str]) -> str:
-    order = "".join(words).upper()
-    if sorted(order) != ["X", "Y", "Z"]:
-        raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
-    return order
 
 
 def _bones(at: Location, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:

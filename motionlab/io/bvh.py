@@ -194,15 +194,13 @@ def _parse(at: Location, text: str, fps: float | None = None) -> tuple[list[_Joi
 
 def _hierarchy(at: Location, lines: list[str]) -> tuple[list[_Joint], int]:
     joints: list[_Joint] = []
-    open_joints: list[int] = []
-    names: set[str] = set()
-    expected, expect_brace = "HIERARCHY", False
+    here, expected, expect_brace = -1, "HIERARCHY", False  # here: the joint whose braces are open
     for number, line in enumerate(lines, start=1):
         words = line.split()
         if not words:
             continue
         at.place = f"line {number}"
-        head, joint = words[0].upper(), joints[open_joints[-1]] if open_joints else None
+        head, joint = words[0].upper(), joints[here] if here >= 0 else None
         if not joints and head != expected:
             raise at.error(f"expected {expected}, got {line.strip()[:40]!r}")
         if expected == "HIERARCHY":
@@ -222,18 +220,16 @@ def _hierarchy(at: Location, lines: list[str]) -> tuple[list[_Joint], int]:
             name = f"{joint.name}_end" if head == "END" else " ".join(words[1:])
             if not name:
                 raise at.error(f"{words[0]} without a name")
-            if name in names:
+            if any(name == other.name for other in joints):
                 raise at.error(f"a second joint named {name!r}", remedy="give every joint its own name")
-            names.add(name)
-            joints.append(_Joint(name, open_joints[-1] if open_joints else -1, number, is_end=head == "END"))
-            open_joints.append(len(joints) - 1)
-            expect_brace = True
+            joints.append(_Joint(name, here, number, is_end=head == "END"))
+            here, expect_brace = len(joints) - 1, True
         elif head == "}":
             if joint is None:
                 raise at.error("a } too many")
             if joint.offset is None:
                 raise at.error(f"{joint.name} ends without an OFFSET")
-            open_joints.pop()
+            here = joint.parent
         elif head == "OFFSET" and joint:
             joint.offset = floats(at, words[1:], 3).tolist()
         elif head == "CHANNELS" and joint:

@@ -41,32 +41,26 @@ Table = dict[str, object]
 
 
 def read_tables(at: Location) -> dict[str, Table]:
-    """Reads the cameras of a file by name, one or more.
-
-    Raises:
-        DataError: damaged, no known format, or no camera in it.
-    """
-    if not (found := _by_name(at)):
+    """Reads the cameras of a file by name, one or more."""
+    head, suffix = read_bytes(at)[:4096].removeprefix(b"\xef\xbb\xbf").lstrip(), at.path.suffix.lower()
+    if re.match(rb"\{|\[\s*[\[{]", head):
+        found = _of_json(read_json(at))
+    elif head.startswith(b"<"):
+        found = _opencv_xml(at) if b"<opencv_storage" in head else _qualisys(at)
+    elif head.startswith(b"tc camera calibration"):
+        found = _captury(at)
+    elif head.startswith(b"%YAML") or suffix in (".yml", ".yaml"):
+        found = _easymocap(at) if re.search("intri|extri", at.path.name) else _named(_yaml(read_text(at)))
+    elif re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
+        found = _colmap(at)
+    elif suffix == ".toml" or re.match(rb"(#.*\n|\s)*\[[\w\"'.-]+\]\s", head):
+        tables = tomllib.loads(read_text(at))
+        found = {str(table.get("name") or key): known for key, table in tables.items() if (known := _known(table))}
+    else:
+        raise at.error("no calibration of a known kind")
+    if not found:
         raise at.error("no camera in it")
     return found
-
-
-def _by_name(at: Location) -> dict[str, Table]:
-    head = read_bytes(at)[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
-    if re.match(rb"\{|\[\s*[\[{]", head):
-        return _of_json(read_json(at))
-    if head.startswith(b"<"):
-        return _opencv_xml(at) if b"<opencv_storage" in head else _qualisys(at)
-    if head.startswith(b"tc camera calibration"):
-        return _captury(at)
-    if head.startswith(b"%YAML") or at.path.suffix.lower() in (".yml", ".yaml"):
-        return _easymocap(at) if re.search("intri|extri", at.path.name) else _named(_yaml(read_text(at)))
-    if re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
-        return _colmap(at)
-    if at.path.suffix.lower() == ".toml" or re.match(rb"(#.*\n|\s)*\[[\w\"'.-]+\]\s", head):
-        tables = tomllib.loads(read_text(at))
-        return {str(table.get("name") or key): known for key, table in tables.items() if (known := _known(table))}
-    raise at.error("no calibration of a known kind")
 
 
 def _known(table: object) -> Table:

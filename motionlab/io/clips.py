@@ -21,7 +21,7 @@ _AMP_KEYS = ("node_names", "parent_indices", "local_translation", "root_translat
 _AMP_ROTATION = "local_or_global_rotation_xyzw"
 #: Joint, parent, attachment in metres (x forward, y up, z right), numbers in a frame.
 #: Source: DeepMimic, data/characters/humanoid3d.txt (MIT, Copyright (c) 2018 Xue Bin Peng).
-_JOINTS = [
+_NAMES, _PARENTS, _OFFSETS, _WIDTHS = zip(
     ("root", -1, (0.0, 0.0, 0.0), 4),
     ("chest", 0, (0.0, 0.236151, 0.0), 4),
     ("neck", 1, (0.0, 0.223894, 0.0), 4),
@@ -37,14 +37,10 @@ _JOINTS = [
     ("left_shoulder", 1, (-0.02405, 0.24350, -0.18311), 4),
     ("left_elbow", 12, (0.0, -0.274788, 0.0), 1),
     ("left_wrist", 13, (0.0, -0.258947, 0.0), 0),
-]
-#: The character's body: x forward, y up, z right at rest; its ankles stand 5 cm above the floor.
-_DEEPMIMIC = Skeleton(
-    names=tuple(name for name, _, _, _ in _JOINTS),
-    parents=tuple(parent for _, parent, _, _ in _JOINTS),
-    offsets=torch.tensor([offset for _, _, offset, _ in _JOINTS]),
-    sole=0.05,
+    strict=True,
 )
+#: The character's body: x forward, y up, z right at rest; its ankles stand 5 cm above the floor.
+_DEEPMIMIC = Skeleton(_NAMES, _PARENTS, torch.tensor(_OFFSETS), sole=0.05)
 
 
 def load_amp(path: str | Path) -> Motion:
@@ -63,17 +59,13 @@ def load_amp(path: str | Path) -> Motion:
         if names.ndim != 1 or names.dtype.kind != "U" or len(set(names.tolist())) != names.size or not names.size:
             raise at.error("expected a list of different names", place="node_names")
         parents = checked_array(at, arrays["parent_indices"], f"{names.size}", "parent_indices").astype(int).tolist()
-        if any(not (-1 <= p < j) or (p == -1) != (j == 0) for j, p in enumerate(parents)):
-            raise at.error(f"one root first, then parents before children; got {parents}", place="parent_indices")
         offsets = checked_array(at, arrays["local_translation"], f"{names.size} 3", "local_translation")
+        at.place = "parent_indices"
         skeleton = Skeleton(tuple(names.tolist()), tuple(parents), torch.from_numpy(offsets).float())
         quaternion = checked_array(at, arrays[_AMP_ROTATION], f"T {len(skeleton)} 4", place=_AMP_ROTATION)
         root = checked_array(at, arrays["root_translation"], f"{len(quaternion)} 3", place="root_translation")
         rot = _rotations(at, quaternion[..., [3, 0, 1, 2]], skeleton.names, 0.05)
-        is_local = arrays["is_local"]
-        if is_local.size != 1 or is_local.dtype.kind not in "biu":
-            raise at.error(f"expected true or false, got {is_local!r}", place="is_local")
-        if not is_local.item():
+        if not checked_array(at, arrays["is_local"].reshape(-1), "1", "is_local")[0]:
             rot = skeleton.local(rot)
         fps = frame_rate(at, arrays["fps"], "fps")
         return Motion(skeleton, torch.from_numpy(root).float(), rot.float(), fps, name=at.path.stem)
@@ -102,7 +94,7 @@ def load_deepmimic(path: str | Path) -> Motion:
         fps, times = _frame_rate(at, table[:, 0])
         rot = torch.eye(3, dtype=torch.float64).expand(len(table), len(_DEEPMIMIC), 3, 3).clone()
         column = 4
-        for joint, (name, _, _, width) in enumerate(_JOINTS):
+        for joint, (name, width) in enumerate(zip(_NAMES, _WIDTHS, strict=True)):
             part = table[:, column : column + width]
             if width == 4:  # rounded by hand in places: humanoid3d_punch goes down to 0.93
                 rot[:, joint] = _rotations(at, part[:, None], (name,), 0.2)[:, 0]

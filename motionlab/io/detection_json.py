@@ -23,10 +23,7 @@ _MMPOSE, _VITPOSE, _ALPHAPOSE = 0.3, 0.5, 0.05
 
 def from_json(at: Location, document: object) -> Detections:
     """Converts a document, told by its keys or by those of the first thing in it; [] is a frame that shows nobody.
-
-    Raises:
-        DataError: no detector's, 3-D poses, or damaged; names the place.
-    """
+    3-D poses are refused."""
     if document == []:
         return detections.NOBODY
     item = document

@@ -25,11 +25,7 @@ _MOST_WORDS = 5 + 133 * 3 + 2  # beside the points class, box, confidence, id
 
 
 def from_lines(at: Location, text: str) -> Detections:
-    """Reads a table: one image's lines of numbers as YOLO-pose writes them, or CSV with a header.
-
-    Raises:
-        DataError: neither, or damaged; names the line.
-    """
+    """Reads a table: one image's lines of numbers as YOLO-pose writes them, or CSV with a header."""
     lines = [(n, line) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if not lines:
         raise at.error("the file is blank")
@@ -162,11 +158,7 @@ def _clock(
 
 
 def from_trc(at: Location, text: str) -> Detections:
-    """Reads one person's points in pixels from a TRC, as Sports2D writes it: x, y and a z of 0; blank is not seen.
-
-    Raises:
-        DataError: in metres or in 3-D, or damaged; names the line.
-    """
+    """Reads one person's points in pixels from a TRC, as Sports2D writes it: x, y and a z of 0; blank is not seen."""
     head, names, rows = trc_table(at, text)
     at.place = "line 3"
     fps = frame_rate(at, _cell(at, head["DataRate"]))
@@ -184,13 +176,9 @@ def from_trc(at: Location, text: str) -> Detections:
 
 
 def from_npz(at: Location) -> Detections:
-    """Reads the plain layout that ``keypoints`` describes.
-
-    Raises:
-        DataError: a key is missing or does not fit, or an array is pickled, which is never opened.
-    """
+    """Reads the plain layout that ``keypoints`` describes; an array that is pickled is never opened."""
     keys = ("keypoints", "positions_2d", "confidence", "scores", "names", "fps", "size", "ids")  # the second is pickled
-    arrays = read_npz(at, keys, plain=PLAIN)
+    arrays = read_npz(at, keys)
     if "keypoints" not in arrays:
         remedy = f"unpack it, if it is a folder's archive, and name the folder; else {PLAIN}"
         raise at.error("the key keypoints is missing", place="keys", remedy=remedy)

@@ -7,14 +7,13 @@ A reader keeps what the file says: NaN where it says nothing, units and scores a
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from motionlab.errors import DataError
-from motionlab.io import numbering
 from motionlab.io.layouts import COCO_17, MEDIAPIPE_33, standard_name
 from motionlab.io.reading import Location, checked_array, frame_rate, image_size, reading
 
@@ -56,42 +55,6 @@ class Detections:
     notes: list[str] = field(default_factory=list)
     loose: bool = False
 
-    def in_order(
-        self, at: Location, fps: float | None, film: int | Sequence[int] | None = None, otherwise: float | None = None
-    ) -> tuple[Detections, list[np.ndarray]]:
-        """Returns the same by frame, with its rate, and its people in a list from the first frame to the last.
-
-        Numbers that are times or those of any pictures become frames, and a note says so; a number without a frame
-        shows nobody.
-
-        Args:
-            fps: frames per second that somebody said.
-            film: frames of the film, or the numbers of its images.
-            otherwise: frames per second where neither the file nor its numbers say it.
-
-        Raises:
-            DataError: no frame or no rate, numbers that lie too far apart, people with different numbers of keypoints.
-        """
-        if not self.frames:
-            raise at.error("holds no frames", place="")
-        fps = fps if fps is None else frame_rate(at, fps, "fps")
-        given = sorted(self.frames)
-        order, told, notes = numbering.frames_of(given, fps=fps or self.fps, film=film, loose=self.loose)
-        frames, ids = ({n: of[k] for n, k in zip(order, given, strict=True)} for of in (self.frames, self.ids))
-        first, last = order[0], order[-1]
-        if last - first >= MOST_FRAMES:
-            raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
-        counts = {n: frames[n].shape[1] for n in order if len(frames[n])}
-        count = next(iter(counts.values()), 0)
-        if other := next((n for n in counts if counts[n] != count), None):
-            message = f"expected {count} keypoints as in the frames before, got {counts[other]}"
-            raise at.error(message, place=f"frame {other}")
-        rate = fps or self.fps or told or otherwise
-        if rate is None:
-            raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
-        found = replace(self, frames=frames, ids=ids, fps=rate, notes=[*self.notes, *notes])
-        return found, [frames.get(n, _NOBODY) for n in range(first, last + 1)]
-
 
 #: One frame in which nobody was seen.
 NOBODY = Detections("nobody", {0: _NOBODY}, {0: []})
@@ -103,9 +66,6 @@ def from_folder(at: Location, read: Callable[[Location], Detections], *suffixes:
 
     Files that are named otherwise before the number than most are left out. The first suffix of which there are
     numbered files counts.
-
-    Raises:
-        DataError: no numbered file, two of one number, several series, a file that holds several frames.
     """
     files = next((files for suffix in suffixes if (files := _series(at, suffix))), None)
     if files is None:
@@ -150,11 +110,7 @@ def unknown(at: Location) -> DataError:
 def collect(
     at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable[..., Sighting], **more
 ) -> Detections:
-    """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros.
-
-    Raises:
-        DataError: a frame is there twice, people have different numbers of keypoints, or far too many.
-    """
+    """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros."""
     found = Detections(detector, {}, {}, **more)
     for number, people in frames:
         seen = []
@@ -180,9 +136,6 @@ def collect_named(
     """Joins (frame number, people) pairs whose points are (x, y, confidence) by name or number, None where not said.
 
     What somebody lacks is NaN. Names of COCO or MediaPipe are put in that layout's order.
-
-    Raises:
-        DataError: see ``collect``; or a number cannot be used.
     """
     keys = list(dict.fromkeys(key for _, people in seen for points, _ in people for key in points))
     at.place = "names"

@@ -103,12 +103,10 @@ def _of_glb(at: Location, data: bytes) -> tuple[bytes, bytes]:
     found, start = {}, 12
     while start + 8 <= len(data):
         size, kind = struct.unpack_from("<I4s", data, start)
-        if start + 8 + size > len(data):
-            raise at.error(f"chunk {kind!r} promises {size} bytes, past the end", place=f"byte {start}")
         found.setdefault(kind, data[start + 8 : start + 8 + size])
         start += 8 + size
-    if JSON_CHUNK not in found:
-        raise at.error("no JSON chunk", place="header")
+    if start > len(data) or JSON_CHUNK not in found:
+        raise at.error(f"its chunks {[*found]} end at byte {start} of {len(data)}", place="header")
     return found[JSON_CHUNK], found.get(BIN_CHUNK, b"")
 
 
@@ -119,11 +117,8 @@ def _named(at: Location, uri: str) -> bytes:
         return base64.b64decode(numbers)
     folder = at.path.parent.resolve()
     path = (folder / unquote(uri)).resolve()
-    if not path.is_relative_to(folder):
-        remedy = "export it as one binary file, .glb: only files beside it or below are read"
-        raise at.error(f"its numbers lie elsewhere, {uri[:40]}", place="buffers", remedy=remedy)
-    if not path.is_file():
-        remedy = "put that file beside it, or export it as one binary file, .glb"
+    if not path.is_relative_to(folder) or not path.is_file():
+        remedy = "put that file beside it or below, or export it as one binary file, .glb"
         raise at.error(f"its numbers lie in another file, {uri[:40]}", place="buffers", remedy=remedy)
     return read_bytes(replace(at, path=path))
 
@@ -257,7 +252,12 @@ def _animation(at: Location, content: dict, wanted: str | int | None) -> dict:
 
 def _tree(at: Location, parent: dict[int, int], joints: list[int], nodes: list[dict]) -> tuple[list[int], dict]:
     """The joints of the largest tree, what is above first, and the way from each to the top; others are noted."""
-    chains = {joint: _chain(at, parent, joint, len(nodes)) for joint in joints}
+    chains = {joint: [joint] for joint in joints}
+    for joint, chain in chains.items():
+        while chain[-1] in parent:
+            chain.append(parent[chain[-1]])
+            if len(chain) > len(nodes):
+                raise at.error("the nodes form a circle", place=f"node {joint}")
     joints = sorted(joints, key=lambda joint: len(chains[joint]))
     roots = {joint: [node for node in chains[joint] if node in chains][-1] for joint in joints}
     sizes = Counter(roots.values())
@@ -370,13 +370,3 @@ def _bound(at: Location, content: dict, blob: bytes, skin: dict, joints: list[in
     if len(bound) <= max(where) or not (torch.linalg.det(bound[where]) > 0).all():
         return turned
     return rotation.nearest(bound[where])
-
-
-def _chain(at: Location, parent: dict[int, int], node: int, count: int) -> list[int]:
-    """The node and everything above it, to the top."""
-    chain = [node]
-    while chain[-1] in parent:
-        chain.append(parent[chain[-1]])
-        if len(chain) > count:
-            raise at.error("the nodes form a circle", place=f"node {node}")
-    return chain

@@ -42,9 +42,6 @@ Figure = TypeVar("Figure")  # a Motion, or points.Positions
 def axes_to_matrix(axes: str) -> Tensor:
     """Computes the rotation (3, 3) float64, world from file, from the file axes that become world x, y, z.
 
-    >>> axes_to_matrix("x-zy") @ torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)  # y up becomes z up
-    tensor([0., 0., 1.], dtype=torch.float64)
-
     Raises:
         ShapeError: not three different axes, or a left-handed choice, which would mirror the body.
     """

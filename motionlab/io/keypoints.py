@@ -24,12 +24,12 @@ import numpy as np
 import torch
 
 from motionlab.errors import DataError
-from motionlab.io import tracking
+from motionlab.io import numbering, tracking
 from motionlab.io.detection_json import from_json
 from motionlab.io.detection_tables import from_lines, from_npz, from_trc
-from motionlab.io.detections import PLAIN, Detections, from_folder
+from motionlab.io.detections import MOST_FRAMES, NOBODY, PLAIN, Detections, from_folder
 from motionlab.io.layouts import names_of
-from motionlab.io.reading import LARGEST, Location, image_size, read_json, read_text, reading
+from motionlab.io.reading import LARGEST, Location, frame_rate, image_size, read_json, read_text, reading
 from motionlab.observation import Observation2D
 
 if TYPE_CHECKING:
@@ -207,12 +207,18 @@ def load(
     """
     with reading(path, "give what a 2-D pose detector wrote: a file, or a folder with one file per frame") as at:
         found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
-        known = None if film is None else film.numbers or film.frames
-        found, frames = found.in_order(at, fps, known, film and film.fps)
-        size = found.size if size is None else image_size(at, size)
-        size = size or (film and film.size)
-        lowest = found.lowest if lowest is None else lowest
-        frames, names, notes = _cleaned(at, found, frames, layout, lowest, size)
+        found, frames = _in_order(at, found, fps, film)
+        size = image_size(at, size) if size is not None else found.size or (film and film.size)
+        if not any(len(people) for people in frames):
+            raise at.error("nobody was detected in any frame", place="")
+        everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
+        notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
+        if not (everybody[..., 2] > 0).any():
+            raise at.error("nobody was detected in any frame: no point is sure enough", place="")
+        names = found.names if layout is None and found.names else names_of(at, everybody, layout)
+        if len(names) != everybody.shape[1]:
+            raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
+        frames = np.split(everybody, np.cumsum([len(people) for people in frames])[:-1])
         first, given = min(found.frames), sorted(found.frames)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
         stride = np.median(np.diff(given)) if len(given) > 1 else 1
@@ -236,28 +242,38 @@ def _read_file(at: Location) -> Detections:
     return from_trc(at, text) if text.startswith("PathFileType") else from_lines(at, text)
 
 
-def _cleaned(
-    at: Location, found: Detections, frames: list[np.ndarray], layout: str | None, lowest: float, size: tuple | None
-) -> tuple[list[np.ndarray], tuple[str, ...], list[str]]:
-    """Frames of people (P, K, 3) in pixels with confidences of 0..1, the names of the points, and notes."""
-    if not any(len(people) for people in frames):
-        raise at.error("nobody was detected in any frame", place="")
-    everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
-    notes = [*found.notes, *_calibrate(at, everybody, size, lowest)]
-    if not (everybody[..., 2] > 0).any():
-        raise at.error("nobody was detected in any frame: no point is sure enough", place="")
-    names = found.names if layout is None and found.names else names_of(at, everybody, layout)
-    if len(names) != everybody.shape[1]:
-        raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
-    return np.split(everybody, np.cumsum([len(people) for people in frames])[:-1]), names, notes
+def _in_order(
+    at: Location, found: Detections, fps: float | None, film: Video | None
+) -> tuple[Detections, list[np.ndarray]]:
+    """The same by frame, with its rate, and its people in a list from the first frame to the last.
+
+    Numbers that are times or those of any pictures become frames, and a note says so; a number without a frame shows
+    nobody.
+    """
+    if not found.frames:
+        raise at.error("holds no frames", place="")
+    fps = found.fps if fps is None else frame_rate(at, fps, "fps")
+    given = sorted(found.frames)
+    known = None if film is None else film.numbers or film.frames
+    order, told, notes = numbering.frames_of(given, fps=fps, film=known, loose=found.loose)
+    frames, ids = ({n: of[k] for n, k in zip(order, given, strict=True)} for of in (found.frames, found.ids))
+    first, last = order[0], order[-1]
+    if last - first >= MOST_FRAMES:
+        raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
+    counts = {n: frames[n].shape[1] for n in order if len(frames[n])}
+    count = next(iter(counts.values()), 0)
+    if other := next((n for n in counts if counts[n] != count), None):
+        message = f"expected {count} keypoints as in the frames before, got {counts[other]}"
+        raise at.error(message, place=f"frame {other}")
+    rate = fps or told or (film and film.fps)
+    if rate is None:
+        raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
+    found = replace(found, frames=frames, ids=ids, fps=rate, notes=[*found.notes, *notes])
+    return found, [frames.get(n, NOBODY.frames[0]) for n in range(first, last + 1)]
 
 
 def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
-    """Brings people (N, K, 3) to pixels and confidences of 0..1, in place, 0 where not seen; says what it assumed.
-
-    Raises:
-        DataError: the image size is needed, or the coordinates lie around zero as those of 3-D poses do.
-    """
+    """Brings people (N, K, 3) to pixels and confidences of 0..1, in place, 0 where not seen; says what it assumed."""
     notes, xy, score = [], people[..., :2], people[..., 2]
     if np.isnan(score).all():
         score[:] = 1

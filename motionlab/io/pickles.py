@@ -23,11 +23,10 @@ from motionlab.io.reading import LARGEST, Location, read_npy
 
 
 def read_pickle(at: Location, data: bytes) -> object:
-    """Reads a pickle, or what joblib (packed or not) or torch wrote: containers of what :func:`array_of` takes.
-
-    Raises:
-        DataError: it asks for anything else. Others, of damaged files: inside ``reading`` a DataError.
-    """
+    """Reads a pickle, or what joblib (packed or not), torch or numpy.save wrote: containers of what :func:`array_of`
+    takes; of a .npy its array, or of one of objects the first. What asks for anything else is refused."""
+    if data[:6] == b"\x93NUMPY":
+        return read_npy(at, data, first_object)
     at.place = "pickle"
     if data[:3] == b"BZh" or data[:6] == b"\xfd7zXZ\x00" or data[:2] == b"]\x00":
         raise at.error("packed by bz2 or lzma", remedy="pack it as zlib: joblib.dump(..., compress=3)")
@@ -43,16 +42,8 @@ def read_pickle(at: Location, data: bytes) -> object:
     return _Reader(at, data).load()
 
 
-def read_array(at: Location, data: bytes) -> object:
-    """Reads a .npy: an array, or of one of objects what :func:`read_pickle` makes of the first.
-
-    Raises:
-        DataError: see :func:`read_pickle`.
-    """
-    return read_npy(at, data, objects=_first)
-
-
-def _first(at: Location, data: bytes) -> object:
+def first_object(at: Location, data: bytes) -> object:
+    """Reads the first object of the pickle of an array of objects."""
     array = read_pickle(at, data)
     if not (isinstance(array, _Record) and array.name == "_reconstruct" and array.state and array.state[-1]):
         raise at.error("an array of objects without an object", place="pickle")
@@ -88,55 +79,27 @@ class _Record:
         record.args, record.state = args, None
         return record
 
-    def __init__(self, *args, **_):
-        pass
-
-    def __setstate__(self, state):
-        self.state = state
-
 
 def _record(name: str) -> type[_Record]:
-    return type("Record", (_Record,), {"name": name})
+    return type("Record", (_Record,), {"name": name.rpartition(".")[2]})
 
 
-def _reconstructor(cls, base, state):
-    """Protocol 0 and 1's way to make an empty object; only of records."""
-    if not (isinstance(cls, type) and issubclass(cls, _Record)):
-        raise TypeError("not a class")
-    return cls()
-
-
-def _latin1(text, encoding="latin1"):
-    """How Python 3 writes bytes in protocol 2."""
-    if encoding not in ("latin1", "latin-1"):
-        raise ValueError("not latin1")
-    return str(text).encode("latin1")
-
-
-#: Modules by the name that they have now.
-_MOVED = {
-    "__builtin__": "builtins", "copy_reg": "copyreg", "numpy.core.multiarray": "numpy._core.multiarray",
-    "numpy.core.numeric": "numpy._core.numeric",
-}  # fmt: skip
+#: Modules of Python 2 by the name that they have now.
+_MOVED = {"__builtin__": "builtins", "copy_reg": "copyreg"}
 #: What is built of a name: containers, bytes, and records of numpy's arrays, torch's tensors and joblib's arrays, which
 #: lie in the file behind their records.
 _BUILT = {
-    "copyreg._reconstructor": _reconstructor,
-    "_codecs.encode": _latin1,
-    "builtins.bytes": lambda: b"",  # how Python 3 writes none in protocol 2
+    "copyreg._reconstructor": lambda cls, *_: cls(),  # protocol 0 and 1's way to make an empty object
+    "_codecs.encode": lambda text, *_: str(text).encode("latin1"),  # how Python 3 writes bytes in protocol 2
+    "builtins.bytes": lambda: b"",  # and none
     # to be filled; what a defaultdict makes of what it lacks is left out
     **dict.fromkeys(("builtins.dict", "collections.OrderedDict", "collections.defaultdict"), lambda *_: {}),
-    "builtins.object": _record("object"),
-    "builtins.set": _record("set"),
-    "numpy._core.multiarray._reconstruct": _record("_reconstruct"),
-    "numpy._core.multiarray.scalar": _record("scalar"),
-    "numpy._core.numeric._frombuffer": _record("_frombuffer"),
-    "numpy.ndarray": _record("ndarray"),
-    "numpy.dtype": _record("dtype"),
-    "torch._utils._rebuild_tensor_v2": _record("tensor"),
-    "torch.storage._load_from_bytes": _record("storage"),
-    "joblib.numpy_pickle.NumpyArrayWrapper": _record("joblib"),
-}
+    **{name: _record(name) for name in (
+        "builtins.object", "builtins.set", "numpy._core.multiarray._reconstruct", "numpy._core.multiarray.scalar",
+        "numpy._core.numeric._frombuffer", "numpy.ndarray", "numpy.dtype", "torch._utils._rebuild_tensor_v2",
+        "torch.storage._load_from_bytes", "joblib.numpy_pickle.NumpyArrayWrapper",
+    )},
+}  # fmt: skip
 _SPARSE = re.compile(r"scipy\.sparse\.(?:_?(?:csc|csr|coo)\.)?(csc|csr|coo)_(?:matrix|array)")
 _CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
 
@@ -148,7 +111,7 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
         self.at, self.dispatch = at, pickle._Unpickler.dispatch | {pickle.BUILD[0]: _Reader.load_build}
 
     def find_class(self, module: str, name: str):
-        full = f"{_MOVED.get(module, module)}.{name}"
+        full = f"{_MOVED.get(module, module.replace('numpy.core.', 'numpy._core.'))}.{name}"
         if full in _BUILT:
             return _BUILT[full]
         if sparse := _SPARSE.fullmatch(full):
@@ -157,28 +120,21 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
             return _record("chumpy")
         raise _refused(self.at, f"{module}.{name}")
 
-    def persistent_load(self, pid):
-        raise self.at.error("refers to objects outside the file", place="pickle")
-
     def load_build(self) -> None:
-        if not isinstance(self.stack[-2], _Record):  # a function of this module would take what it is told
+        state, record = self.stack.pop(), self.stack[-1]
+        if not isinstance(record, _Record):  # a function of this module would take what it is told
             raise self.at.error("sets the state of what is no array", place="pickle")
-        super().load_build()
-        record = self.stack[-1]
-        if getattr(record, "name", "") == "joblib":
-            if record.state.get("numpy_array_alignment_bytes"):
+        record.state = state
+        if record.name == "NumpyArrayWrapper":
+            if state.get("numpy_array_alignment_bytes"):
                 self.stream.read(self.stream.read(1)[0])
-            shape, kind = _shape(self.at, record.state["shape"]), _kind(self.at, record.state["dtype"])
+            shape, kind = _shape(self.at, state["shape"]), _kind(self.at, state["dtype"])
             raw = self.stream.read(kind.itemsize * math.prod(shape))
-            self.stack[-1] = _from_bytes(self.at, raw, record.state["dtype"], shape, record.state["order"])
+            self.stack[-1] = _from_bytes(self.at, raw, state["dtype"], shape, state["order"])
 
 
 def arrays_of(at: Location, tree: object, keys: Iterable[str], place: str) -> dict[str, np.ndarray]:
-    """Reads those arrays of a dictionary that are there; ``at.place`` goes along.
-
-    Raises:
-        DataError: no dictionary, or something else than numbers.
-    """
+    """Reads those arrays of a dictionary that are there; ``at.place`` goes along."""
     if not isinstance(tree, dict):
         raise at.error(f"holds a {type(tree).__name__}, expected a dictionary of arrays", place=place)
     arrays = {}
@@ -191,11 +147,7 @@ def arrays_of(at: Location, tree: object, keys: Iterable[str], place: str) -> di
 
 
 def array_of(at: Location, value: object) -> np.ndarray:
-    """Makes an array of what a pickle said: of numpy, torch, scipy (sparse), chumpy around one of these, or numbers.
-
-    Raises:
-        DataError: it is something else.
-    """
+    """Makes an array of what a pickle said: of numpy, torch, scipy (sparse), chumpy around one of these, or numbers."""
     if not isinstance(value, _Record):
         if isinstance(value, list | tuple):
             return np.asarray([array_of(at, each) if isinstance(each, _Record) else each for each in value])
@@ -222,7 +174,7 @@ def array_of(at: Location, value: object) -> np.ndarray:
             picked = array_of(at, state["a"]).ravel()[array_of(at, state["idxs"]).ravel()]
             shape = state.get("preferred_shape")
             return picked if shape is None else picked.reshape(_shape(at, shape))
-    if value.name == "tensor" and getattr(value.args[0], "name", "") == "storage":
+    if value.name == "_rebuild_tensor_v2" and getattr(value.args[0], "name", "") == "_load_from_bytes":
         storage = torch.load(io.BytesIO(value.args[0].args[0]), map_location="cpu", weights_only=True)
         whole = torch.empty(0, dtype=storage.dtype)
         return whole.set_(storage._untyped_storage, *value.args[1:4]).numpy().copy()

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from motionlab.errors import ShapeError, check_shape
+from motionlab.errors import check_shape
 from motionlab.io import judging
 from motionlab.io.judging import Axes, Unit, axes_to_matrix, unit_named
 from motionlab.io.reading import (
@@ -41,12 +43,6 @@ NAMES = (
     "right_hip", "right_knee", "right_ankle", "right_heel", "right_toe", "left_shoulder", "left_elbow", "left_wrist",
     "left_hand", "left_hip", "left_knee", "left_ankle", "left_heel", "left_toe", "left_forearm", "right_hand",
 )  # fmt: skip
-#: Pairs of points for drawing: the measured tree, with shoulders, hips and thighs joined as in a body.
-BONES = (
-    (3, 0), (3, 4), (3, 13), (3, 8), (3, 17), (8, 17), (4, 13), (4, 1), (13, 2), (1, 2), (4, 5), (5, 6), (6, 7),
-    (7, 23), (13, 14), (14, 22), (22, 15), (15, 16), (8, 9), (9, 10), (10, 11), (10, 12), (17, 18), (18, 19),
-    (19, 20), (19, 21),
-)  # fmt: skip
 #: Columns that a group takes, by the end of its name.
 _WIDTHS = {"Position": 3, "Positions": 3, "CenterOfGravity": 3, "Angles": 4}
 #: OpenSim's way up: x forward, y up, z right, stood up to face world +y; a C3D's: x stays.
@@ -61,11 +57,11 @@ class Positions:
     """Labelled 3-D points through time; no rotations, no bones.
 
     names: the K points, as the file calls them. positions (T, K, 3): metres, world, z up. valid (T, K): False where the
-    point was not measured; its position is then 0, never NaN. fps: frames per second. name: where it came from. bones:
-    pairs of point indices that keep their distance, for drawing. notes: what a loader had to decide.
+    point was not measured; its position is then 0, never NaN. fps: frames per second. name: where it came from. notes:
+    what a loader had to decide.
 
     Raises:
-        ShapeError: the arrays do not fit the names or each other, or fps is not positive.
+        ShapeError: the arrays do not fit the names or each other.
     """
 
     names: tuple[str, ...]
@@ -73,26 +69,16 @@ class Positions:
     valid: Tensor
     fps: float
     name: str = ""
-    bones: tuple[tuple[int, int], ...] = ()
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_shape(self.positions, f"T {len(self.names)} 3", "positions")
-        if self.valid.shape != self.positions.shape[:-1]:
-            expected = tuple(self.positions.shape[:-1])
-            raise ShapeError(f"valid: expected shape {expected}, got {tuple(self.valid.shape)}")
-        if not self.fps > 0:
-            raise ShapeError(f"fps: expected a positive number, got {self.fps}")
+        check_shape(self.valid, f"{self.frames} {len(self.names)}", "valid")
 
     @property
     def frames(self) -> int:
         """Number of frames T."""
         return self.positions.shape[0]
-
-    @property
-    def seconds(self) -> float:
-        """Time from the first frame to the last, plus one frame."""
-        return self.frames / self.fps
 
     def select(self, names: list[str] | tuple[str, ...]) -> Positions:
         """Returns some of the points, in the order asked for; KeyError lists the names."""
@@ -100,9 +86,7 @@ class Positions:
             if name not in self.names:
                 raise KeyError(f"no point {name!r}; points are {', '.join(self.names)}")
         pick = [self.names.index(name) for name in names]
-        bones = tuple((pick.index(a), pick.index(b)) for a, b in self.bones if a in pick and b in pick)
-        positions, valid = self.positions[:, pick], self.valid[:, pick]
-        return replace(self, names=tuple(names), positions=positions, valid=valid, bones=bones)
+        return replace(self, names=tuple(names), positions=self.positions[:, pick], valid=self.valid[:, pick])
 
 
 def load_anidance(path: str | Path) -> Positions:
@@ -120,7 +104,7 @@ def load_anidance(path: str | Path) -> Positions:
         points[:, 1:] += points[:, :1]
         world = (points @ axes_to_matrix("x-zy").T).float()
         fps = frame_rate(at, arrays["fps"], "fps")
-        return Positions(NAMES, world, torch.ones(world.shape[:2], dtype=torch.bool), fps, at.path.stem, BONES)
+        return Positions(NAMES, world, torch.ones(world.shape[:2], dtype=torch.bool), fps, at.path.stem)
 
 
 def load_biomech(path: str | Path, *, fps: float) -> Positions:
@@ -242,11 +226,7 @@ def _measured(at: Location, names: tuple[str, ...], points: np.ndarray, valid: n
 
 def trc_table(at: Location, text: str) -> tuple[dict[str, str], tuple[str, ...], np.ndarray]:
     """Reads the header of a TRC by name, the names of its K markers, and its rows (T, 2 + 3K): frame, time, places; NaN
-    where there is none.
-
-    Raises:
-        DataError: header and table do not fit each other, or a cell is not a number.
-    """
+    where there is none."""
     lines = text.splitlines()
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
         raise at.error("expected PathFileType, five header lines and at least one frame", place="line 1")
@@ -260,10 +240,16 @@ def trc_table(at: Location, text: str) -> tuple[dict[str, str], tuple[str, ...],
         raise at.error(f"NumMarkers promises {markers} markers, got {len(names)} names")
     if len(set(names)) < len(names):
         raise at.error("two markers have the same name", remedy="rename one of them")
-    rows = [_trc_row(at, number, line, len(names)) for number, line in enumerate(lines[5:], 6) if line.strip()]
+    rows, width = [], 2 + 3 * len(names)
+    for number, line in enumerate(lines[5:], 6):
+        at.place, cells = f"line {number}", [cell.strip() for cell in line.split("\t")]
+        if any(cells[width:]):
+            raise at.error(f"expected {width - 2} coordinates of {markers} markers, got {len(cells) - 2}")
+        rows += [[float(cell or "nan") for cell in cells[:width]]] if any(cells) else []
+        if rows and any(abs(value) > 1e9 for value in rows[-1]):
+            raise at.error("a coordinate is not a usable number")
     if not rows or not names:
         raise at.error("no frames" if names else "no markers", place="line 6" if names else "line 4")
-    width = 2 + 3 * len(names)
     short = [len(row) for row in rows if width - len(row) > 1]  # one empty cell often lacks its tab
     if short:
         at.notes.append(f"{len(short)} of {len(rows)} rows end early: what they lack was not measured")
@@ -281,17 +267,6 @@ def _doubt_rate(at: Location, times: np.ndarray, rate: float) -> None:
         at.notes.append(f"{said}: {judging.SAY_RATE}")
     if usual > 0 and (jumps := int(((steps > 1.6 * usual) | (steps <= 0)).sum())):
         at.notes.append(f"frames are missing, or doubled: its times jump {jumps} times")
-
-
-def _trc_row(at: Location, number: int, line: str, markers: int) -> list[float]:
-    at.place, width = f"line {number}", 2 + 3 * markers
-    cells = [cell.strip() for cell in line.split("\t")]
-    if any(cells[width:]):
-        raise at.error(f"expected {width - 2} coordinates of {markers} markers, got {len(cells) - 2}")
-    values = [float(cell or "nan") for cell in cells[:width]]
-    if any(abs(value) > 1e9 for value in values):
-        raise at.error("a coordinate is not a usable number")
-    return values
 
 
 def load_c3d(
@@ -325,16 +300,17 @@ def load_c3d(
         if (kind := data[start + 3]) not in _C3D_ORDERS:
             raise at.error(f"processor type {kind} is not read", remedy="convert the file to Intel (84)")
         header = np.frombuffer(data, f"{_C3D_ORDERS[kind]}u2", _C3D_BLOCK // 2)
-        parameters = _c3d_parameters(at, data, start, kind)
+        numbers = partial(_c3d_numbers, data, kind)
+        parameters = _c3d_parameters(at, data, start, numbers)
         at.place = "POINT"
         points = {k.removeprefix("POINT:"): v for k, v in parameters.items() if k.startswith("POINT:") and v.size}
         every = ["LABELS", *(f"LABELS{n}" for n in range(2, 100))]  # a parameter holds at most 255 labels
         count, names = int(header[1]), tuple(str(name) for key in every for name in points.get(key, []))
         if not count or len(names) < count or len(set(names[:count])) < count:
             raise at.error(f"expected {count} different labels, got {len(names)}", place="POINT:LABELS")
-        rate = fps if fps is not None else points.get("RATE", _c3d_numbers(data, 4, 1, 20, kind))[0]
+        rate = fps if fps is not None else points.get("RATE", numbers(4, 1, 20))[0]
         rate = frame_rate(at, rate, "POINT:RATE", judging.SAY_RATE)
-        xyz, measured = _c3d_table(at, data, header, parameters, count, kind)
+        xyz, measured = _c3d_table(at, len(data), header, parameters, numbers)
         figure = _measured(at, names[:count], xyz, measured, rate)
         screen = str(points.get("Y_SCREEN", [""])[0]).strip().lower().removeprefix("+")
         at.place = "POINT:UNITS"
@@ -343,7 +319,7 @@ def load_c3d(
         return judging.to_world(at, figure, unit=unit, up=up, axes=axes, **how)
 
 
-def _c3d_numbers(data: bytes, kind: int, count: int, start: int, processor: int) -> np.ndarray:
+def _c3d_numbers(data: bytes, processor: int, kind: int, count: int, start: int) -> np.ndarray:
     """Numbers of a type of ``_C3D_TYPES``, as a processor writes them."""
     if kind == 4 and processor == _C3D_DEC:  # words swapped, the exponent one bias of 2 higher
         words = np.frombuffer(data, "<u2", 2 * count, start).reshape(-1, 2)[:, ::-1]
@@ -351,32 +327,27 @@ def _c3d_numbers(data: bytes, kind: int, count: int, start: int, processor: int)
     return np.frombuffer(data, np.dtype(_C3D_TYPES[kind]).newbyteorder(_C3D_ORDERS[processor]), count, start)
 
 
-def _c3d_parameters(at: Location, data: bytes, start: int, processor: int) -> dict[str, np.ndarray]:
+def _c3d_parameters(at: Location, data: bytes, start: int, numbers: Callable) -> dict[str, np.ndarray]:
     groups, found = {}, {}
-    cursor, end = start + 4, min(start + _C3D_BLOCK * data[start + 2], len(data))
-    while cursor + 4 <= end:
+    cursor, end, step = start + 4, min(start + _C3D_BLOCK * data[start + 2], len(data)), 1
+    while cursor + 4 <= end and data[cursor] and step > 0:
         length, number = struct.unpack_from("<bb", data, cursor)  # a negative length marks a locked entry
-        if length == 0:
-            break
-        name = data[cursor + 2 : cursor + 2 + abs(length)].decode("latin-1").upper()
         body = cursor + 2 + abs(length)
-        (step,) = struct.unpack_from(f"{_C3D_ORDERS[processor]}h", data, body)
+        name, step = data[cursor + 2 : body].decode("latin-1").upper(), int(numbers(2, 1, body)[0])
         if number < 0:
             groups[-number] = name
         else:
-            found[number, name] = _c3d_value(at, data, body + 2, f"parameter {name}", processor)
-        if step <= 0:
-            break
+            found[number, name] = _c3d_value(at, data, body + 2, f"parameter {name}", numbers)
         cursor = body + step
     return {f"{groups.get(number, number)}:{name}": value for (number, name), value in found.items()}
 
 
-def _c3d_value(at: Location, data: bytes, start: int, place: str, processor: int) -> np.ndarray:
+def _c3d_value(at: Location, data: bytes, start: int, place: str, numbers: Callable) -> np.ndarray:
     kind, axes = struct.unpack_from("<bB", data, start)
     if kind not in _C3D_TYPES or axes > 7:
         raise at.error(f"type {kind} with {axes} axes is not known", place=place)
     shape = tuple(data[start + 2 : start + 2 + axes])
-    values = _c3d_numbers(data, kind, math.prod(shape), start + 2 + axes, processor)
+    values = numbers(kind, math.prod(shape), start + 2 + axes)
     if kind != -1:
         return values
     letters, *rows = shape or (1,)  # the first axis runs along the word
@@ -386,27 +357,27 @@ def _c3d_value(at: Location, data: bytes, start: int, place: str, processor: int
 
 
 def _c3d_table(
-    at: Location, data: bytes, header: np.ndarray, parameters: dict, count: int, processor: int
+    at: Location, length: int, header: np.ndarray, parameters: dict, numbers: Callable
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (T, K, 3) in the file's unit, 0 where not measured, and the mask (T, K)."""
-    at.place = "3-D data"
-    scale = float(_c3d_numbers(data, 4, 1, 12, processor)[0])
-    kind, size = (4, 4) if scale < 0 else (2, 2)
+    at.place, count = "3-D data", int(header[1])
+    scale = float(numbers(4, 1, 12)[0])
+    kind = 4 if scale < 0 else 2  # which is also its bytes
     if not math.isfinite(scale) or scale == 0:
         raise at.error(f"scale {scale} is not usable")
     width, start = 4 * count + int(header[2]), _C3D_BLOCK * (int(header[8]) - 1)
-    held = max(len(data) - start, 0) // (width * size)
-    frames = _c3d_frame_count(at, header, parameters, held, processor)
+    held = max(length - start, 0) // (width * kind)
+    frames = _c3d_frame_count(at, header, parameters, held)
     if start < _C3D_BLOCK or not 0 < frames <= held:
         raise at.error(f"expected {frames} frames of {width} numbers from byte {start}, the file holds {held}")
-    table = _c3d_numbers(data, kind, frames * width, start, processor).reshape(frames, width)[:, : 4 * count]
+    table = numbers(kind, frames * width, start).reshape(frames, width)[:, : 4 * count]
     table = table.reshape(frames, count, 4).astype(np.float64)
     measured = (table[..., 3] >= 0) & np.isfinite(table[..., :3]).all(-1)
     xyz = np.where(measured[..., None], table[..., :3], 0.0) * (1.0 if scale < 0 else scale)
     return checked_array(at, xyz, f"T {count} 3"), measured
 
 
-def _c3d_frame_count(at: Location, header: np.ndarray, parameters: dict, held: int, processor: int) -> int:
+def _c3d_frame_count(at: Location, header: np.ndarray, parameters: dict, held: int) -> int:
     """From the 32-bit frame numbers of long recordings, else the header's 16 bits, which end at 65535 or start again;
     then as many as the file has room for."""
     ends = [parameters.get(f"TRIAL:ACTUAL_{end}_FIELD") for end in ("START", "END")]

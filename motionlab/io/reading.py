@@ -1,7 +1,8 @@
 """Reads files that may be damaged: whatever is wrong with one becomes a ``DataError`` with file, place and remedy.
 
-Every loader does its work inside ``with reading(path, remedy) as at``, moves ``at.place`` along as it
-reads, and raises ``at.error(...)`` where it finds something wrong. Nothing here executes what it reads.
+Every loader does its work inside ``with reading(path, remedy) as at``, moves ``at.place`` along as it reads, and raises
+``at.error(...)`` where it finds something wrong. So does, here and in the readers, every function that takes ``at``, in
+its caller's ``reading``. Nothing here executes what it reads.
 """
 
 from __future__ import annotations
@@ -55,10 +56,6 @@ def reading(path: str | Path, remedy: str = "export the file again") -> Iterator
     It catches ``Exception`` on purpose: a malformed file can surface as almost any type (zlib.error,
     RecursionError, MemoryError, OverflowError, ...). The original stays attached as ``__cause__``.
     ``DataError`` and ``MissingData`` pass through as they are.
-
-    Raises:
-        DataError: whatever the block raised.
-        MissingData: raised by the block itself.
     """
     location = Location(Path(path), remedy=remedy)
     try:
@@ -74,12 +71,7 @@ def reading(path: str | Path, remedy: str = "export the file again") -> Iterator
 
 
 def read_bytes(at: Location) -> bytes:
-    """Reads the whole file, if it is not empty and not larger than ``LARGEST``.
-
-    Raises:
-        DataError: it is a folder, empty or too large.
-        OSError: it cannot be opened; inside ``reading`` that becomes a DataError.
-    """
+    """Reads the whole file, if it is one, not empty and not larger than ``LARGEST``."""
     if at.path.is_dir():
         raise at.error("is a folder, expected a file", remedy="name the file inside")
     size = at.path.stat().st_size
@@ -90,11 +82,7 @@ def read_bytes(at: Location) -> bytes:
 
 def read_text(at: Location) -> str:
     """Reads the whole file as text: UTF-8 (a byte-order mark is dropped), else Shift-JIS if that makes words of
-    Japanese, else Latin-1; noted.
-
-    Raises:
-        DataError: see ``read_bytes``; or it holds zero bytes.
-    """
+    Japanese, else Latin-1; noted. What holds zero bytes is no text."""
     data = read_bytes(at)
     try:
         text = data.decode("utf-8-sig")
@@ -109,15 +97,8 @@ def read_text(at: Location) -> str:
 
 
 def read_json(at: Location, *, nan: bool = False) -> object:
-    """Reads the whole file as JSON; NaN and Infinity, which JSON does not have, are refused.
-
-    Args:
-        nan: let NaN pass, where it stands for what was not measured.
-
-    Raises:
-        DataError: see ``read_text``; or a number is NaN or infinite.
-        ValueError, RecursionError: it is not JSON, or nested too deeply; inside ``reading`` a DataError.
-    """
+    """Reads the whole file as JSON. NaN and Infinity, which JSON does not have, are refused; ``nan`` lets NaN pass,
+    where it stands for what was not measured."""
 
     def refuse(constant: str) -> float:
         if nan and constant == "NaN":
@@ -127,19 +108,11 @@ def read_json(at: Location, *, nan: bool = False) -> object:
     return json.loads(read_text(at), parse_constant=refuse)
 
 
-def read_npz(
-    at: Location, keys: tuple[str, ...] | None = None, *, plain: str = "save plain arrays only"
-) -> dict[str, np.ndarray]:
+def read_npz(at: Location, keys: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
     """Reads the arrays of an npz by key: those of ``keys`` that are there, or all.
 
-    Never unpickles: an array of Python objects is refused; one that nobody asked for is not touched.
-
-    Args:
-        plain: the remedy for an array of objects.
-
-    Raises:
-        DataError: see ``read_bytes``; not an archive, an array of objects, too large, or shorter than it promises.
-        ValueError, zipfile.BadZipFile, zlib.error: damaged within; inside ``reading`` a DataError.
+    Never unpickles: an array of Python objects is refused; one that nobody asked for is not touched. One that is too
+    large, or shorter than it promises, is refused before memory is asked for.
     """
     if read_bytes(at)[:2] != b"PK":
         raise at.error("not an npz archive", remedy="save it with numpy.savez")
@@ -151,31 +124,20 @@ def read_npz(
                 continue
             if member.file_size > LARGEST:
                 raise at.error(f"{member.file_size} bytes are more than {LARGEST}")
-            arrays[key] = read_npy(at, archive.read(member), plain=plain)
+            arrays[key] = read_npy(at, archive.read(member))
     at.place = ""
     return arrays
 
 
 def check_keys(at: Location, arrays: dict[str, object], keys: Iterable[str]) -> None:
-    """Checks that a file has all of these keys.
-
-    Raises:
-        DataError: it lacks some; names them, and what is there.
-    """
+    """Checks that a file has all of these keys; the error names those that it lacks, and what is there."""
     missing = ", ".join(key for key in keys if key not in arrays)
     if missing:
         raise at.error(f"missing {missing}; found {', '.join(arrays) or 'none that is known'}", place=missing)
 
 
-def read_npy(
-    at: Location, data: bytes, *, plain: str = "save plain arrays only", objects: Callable | None = None
-) -> object:
-    """Reads the array of a .npy; of one of Python objects what ``objects(at, pickle)`` makes, else it is refused.
-
-    Raises:
-        DataError: a version that is not known, objects, or less than it promises.
-        ValueError: no .npy; inside ``reading`` a DataError.
-    """
+def read_npy(at: Location, data: bytes, objects: Callable | None = None) -> object:
+    """Reads the array of a .npy; of one of Python objects what ``objects(at, pickle)`` makes, else it is refused."""
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -185,7 +147,7 @@ def read_npy(
     if dtype.hasobject and objects is not None:
         return objects(at, stream.read())
     if dtype.hasobject:
-        raise at.error("holds pickled Python objects, which are never loaded", remedy=plain)
+        raise at.error("holds pickled Python objects, which are never loaded", remedy="save plain arrays: numpy.savez")
     if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize > len(data):
         raise at.error(f"promises shape {shape} of {dtype} but has only {len(data)} bytes")
     array = np.frombuffer(stream.read(), dtype=dtype, count=math.prod(shape))
@@ -195,15 +157,13 @@ def read_npy(
 def checked_array(
     at: Location, array: object, shape: str, place: str | None = None, largest: float = _USABLE, *, nan: bool = False
 ) -> np.ndarray:
-    """Checks an array's axes and that every number is finite; returns it as float64.
+    """Checks an array's axes and that every number is finite; returns it as float64. The error names the first that
+    is not.
 
     Args:
         shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
         largest: numbers from here on are refused.
         nan: let NaN and None pass, as NaN.
-
-    Raises:
-        DataError: not numbers, another shape, or a number that is not finite or too large; names the first.
     """
     place = place if place is not None else at.place
     try:
@@ -229,11 +189,7 @@ def checked_array(
 
 
 def floats(at: Location, words: Sequence[str], count: int) -> np.ndarray:
-    """Reads the ``count`` numbers of a line of text.
-
-    Raises:
-        DataError: there are more or fewer, or one is not finite or too large; names the first.
-    """
+    """Reads the ``count`` numbers of a line of text; the error names the first that is not finite, or too large."""
     if len(words) != count:
         raise at.error(f"expected {count} values, got {len(words)}")
     values = np.full(count, np.nan)
@@ -246,11 +202,7 @@ def floats(at: Location, words: Sequence[str], count: int) -> np.ndarray:
 
 
 def frame_rate(at: Location, value: object, place: str = "frame rate", remedy: str | None = None) -> float:
-    """Checks a frame rate in frames per second: one finite number above zero, at most 100,000.
-
-    Raises:
-        DataError: it is something else.
-    """
+    """Checks a frame rate in frames per second: one finite number above zero, at most 100,000."""
     rate = np.asarray(value)
     if rate.size != 1 or rate.dtype.kind not in "fiu" or not 0 < (fps := float(rate.reshape(()))) <= 1e5:
         raise at.error(f"expected frames per second above zero, got {rate}", place=place, remedy=remedy)
@@ -258,11 +210,7 @@ def frame_rate(at: Location, value: object, place: str = "frame rate", remedy: s
 
 
 def image_size(at: Location, value: object, place: str = "size") -> tuple[float, float]:
-    """Checks an image size: width and height in pixels, above zero, below 100,000.
-
-    Raises:
-        DataError: it is something else.
-    """
+    """Checks an image size: width and height in pixels, above zero, below 100,000."""
     pair = checked_array(at, value, "2", place, largest=1e5)
     if not (pair > 0).all():
         raise at.error(f"expected width and height in pixels, got {value!r}", place=place)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,8 +25,7 @@ from motionlab.observation import Observation2D
 _TEXTS = (".json", ".txt")  # told by their beginnings
 #: Loader of a single file by suffix, for folders that are not known by name.
 SUFFIXES: dict[str, Callable] = {suffix: loader for suffix, loader in io.LOADERS.items() if suffix not in _TEXTS}
-
-
+_MOST = 8  # kinds of notes that are told
 _SET = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
 
 
@@ -37,18 +37,6 @@ class Recording(NamedTuple):
     loader: Callable[[Path], Motion | Positions | Observation2D]
 
 
-@dataclass(frozen=True)
-class Source:
-    """A known source: its licence, whether shipped weights may be trained on it, and its files by kind.
-
-    files: kind -> (pattern within the source's folder, loader).
-    """
-
-    licence: str
-    trainable: bool | None
-    files: dict[str, tuple[str, Callable]]
-
-
 def _captury_view(path: Path) -> Observation2D:
     """Reads one ``projectedNN.csv`` with the camera NN of the camera.calib beside it; video 1920 wide at 50 fps."""
     with reading(path, "keep it beside the camera.calib that lists its camera"):
@@ -56,26 +44,27 @@ def _captury_view(path: Path) -> Observation2D:
     return points.load_projected(path, camera=camera, fps=50)
 
 
-#: What is known of each source of the data set; see its SOURCE.txt for citation and format.
-SOURCES: dict[str, Source] = {
-    "bandai_namco": Source("CC BY-NC 4.0", False, {"bvh": ("*.bvh", bvh.load)}),
-    "anidance": Source("mocap without licence: evaluate only", False, {"npz": ("*.npz", points.load_anidance)}),
-    "cmu_amc": Source("CMU terms, credit", True, {"amc": ("*.amc", asf.load_beside)}),
-    "cmu_library": Source("CMU terms, credit", True, {"bvh": ("*/*.bvh", bvh.load)}),
-    "cmu_native": Source("CMU terms, credit", True, {"amc": ("*/*.amc", asf.load_beside)}),
-    "deepmimic": Source("MIT", True, {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
-    "captury_falls": Source("free for research: evaluate only", False, {
+#: Of each known source its licence, and its files by kind: the pattern within its folder, and a loader. Its SOURCE.txt
+#: has citation and format.
+SOURCES: dict[str, tuple[str, dict[str, tuple[str, Callable]]]] = {
+    "bandai_namco": ("CC BY-NC 4.0", {"bvh": ("*.bvh", bvh.load)}),
+    "anidance": ("mocap without licence: evaluate only", {"npz": ("*.npz", points.load_anidance)}),
+    "cmu_amc": ("CMU terms, credit", {"amc": ("*.amc", asf.load_beside)}),
+    "cmu_library": ("CMU terms, credit", {"bvh": ("*/*.bvh", bvh.load)}),
+    "cmu_native": ("CMU terms, credit", {"amc": ("*/*.amc", asf.load_beside)}),
+    "deepmimic": ("MIT", {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
+    "captury_falls": ("free for research: evaluate only", {
         "c3d": ("*/mocap.c3d", points.load_c3d), "csv": ("*/biomech.csv", partial(points.load_biomech, fps=50)),
         "2d": ("*/projected*.csv", _captury_view)}),
-    "reactidle": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
-    "animated_drawings": Source("MIT", True, {"bvh": ("*.bvh", bvh.load)}),
-    "isaacgym_amp_cmu": Source("BSD-3 + CMU terms", True, {"npz": ("*.npz", clips.load_amp)}),
-    "pose2sim_openpose": Source("BSD-3", True, {
+    "reactidle": ("MIT", {"bvh": ("*.bvh", bvh.load)}),
+    "animated_drawings": ("MIT", {"bvh": ("*.bvh", bvh.load)}),
+    "isaacgym_amp_cmu": ("BSD-3 + CMU terms", {"npz": ("*.npz", clips.load_amp)}),
+    "pose2sim_openpose": ("BSD-3", {
         "openpose": ("*/cam*_json", partial(openpose.load, fps=60, layout="BODY_25B")),
         "trc": ("ref3d/*.trc", points.load_trc)}),
     # two whose rate is not stored: 30 is presumed; the first is of a webcam
-    "3dance_openpose": Source("MIT", True, {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
-    "openpose_crowd": Source("MIT", True, {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
+    "3dance_openpose": ("MIT", {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
+    "openpose_crowd": ("MIT", {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
 }  # fmt: skip
 
 
@@ -84,9 +73,8 @@ class Row:
     """One line of the inventory: recordings of one kind of one source.
 
     clips, minutes: of those that can be read. fps, points: lowest and highest over them, 0 where there is none.
-    points: joints, markers or keypoints. trainable: None where the source is not known. seen: share of points that
-    were measured or detected. unread: why each of the others cannot be read; the message names the file. guessed: see
-    ``guesses``.
+    points: joints, markers or keypoints. seen: share of points that were measured or detected. unread: why each of the
+    others cannot be read; the message names the file. guessed: see ``guesses``.
     """
 
     source: str
@@ -97,7 +85,6 @@ class Row:
     points: tuple[int, int]
     seen: float
     licence: str
-    trainable: bool | None
     unread: tuple[DataError | MissingData, ...] = ()
     guessed: tuple[str, ...] = ()
 
@@ -106,8 +93,6 @@ def recordings(
     folder: str | Path, source: str | None = None, *, video_fps: float | None = None, reading: Mapping | None = None
 ) -> Iterator[Recording]:
     """Finds every recording of the folder, or of one source, sorted by source and path.
-
-    >>> for source, path, loader in recordings(folder): motion = loader(path)  # doctest: +SKIP
 
     Args:
         video_fps: frames per second of OpenPose folders of one's own, which do not store it; without it their
@@ -151,25 +136,26 @@ def inventory(
     Raises:
         MissingData: see ``recordings``.
     """
-    groups: dict[tuple[str, str], list] = {}
+    groups: dict[tuple[str, str], tuple[list, list]] = {}
     for name, kind, path, loader in _found(Path(folder), source, video_fps):
-        groups.setdefault((name, kind), []).append((path, _size(loader, path, reading or {})))
+        read, unread = groups.setdefault((name, kind), ([], []))
+        try:
+            read.append((path, *_size(io.guided(loader, path, reading or {}))))
+        except (DataError, MissingData) as error:
+            unread.append(error)
     rows = []
-    for (name, kind), items in groups.items():
-        noted = [(path, size[4]) for path, size in items if isinstance(size, tuple)]
-        sizes = [size for _, size in items if isinstance(size, tuple)]
-        frames, rates, points, *_ = zip(*sizes, strict=True) if sizes else ((0,),) * 3
-        minutes = sum(t / fps for t, fps, *_ in sizes) / 60
-        seen = sum(share * t for t, _, _, share, _ in sizes) / max(sum(frames), 1)
+    for (name, kind), (read, unread) in groups.items():
+        _, frames, rates, points, *_ = zip(*read, strict=True) if read else ((0,),) * 4
+        minutes = sum(t / fps for _, t, fps, *_ in read) / 60
+        seen = sum(share * t for _, t, _, _, share, _ in read) / max(sum(frames), 1)
         spans = (min(rates), max(rates)), (min(points), max(points))
-        known = SOURCES.get(name, Source("not known", None, {}))
-        unread = tuple(size for _, size in items if not isinstance(size, tuple))
-        licence = known.licence, known.trainable
-        rows.append(Row(name, kind, len(sizes), minutes, *spans, seen, *licence, unread, guesses(noted)))
+        licence = SOURCES[name][0] if name in SOURCES else "not known"
+        guessed = guesses((path, notes) for path, *_, notes in read)
+        rows.append(Row(name, kind, len(read), minutes, *spans, seen, licence, tuple(unread), guessed))
     return rows
 
 
-def guesses(noted: Iterable[tuple[Path, Sequence[str]]], most: int = 8) -> tuple[str, ...]:
+def guesses(noted: Iterable[tuple[Path, Sequence[str]]]) -> tuple[str, ...]:
     """Sums up notes of files, doubts first: those that differ by numbers alone are one, of which the first is told."""
     kinds: dict[str, list[str]] = {}
     for path, notes in noted:
@@ -177,16 +163,12 @@ def guesses(noted: Iterable[tuple[Path, Sequence[str]]], most: int = 8) -> tuple
             kind = ("--" not in note, re.sub(r"[\d.]+", "0", note.partition(":")[0]))  # what offers an option doubts
             kinds.setdefault(kind, []).append(f"{path.name}: {note}")
     told = [kinds[kind] for kind in sorted(kinds, key=lambda kind: (kind[0], -len(kinds[kind])))]
-    more = [f"{len(told) - most} notes more, of other kinds"] if len(told) > most else []
-    return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:most]), *more)
+    more = [f"{len(told) - _MOST} notes more, of other kinds"] if len(told) > _MOST else []
+    return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:_MOST]), *more)
 
 
-def _size(loader: Callable, path: Path, reading: Mapping) -> tuple[int, float, int, float, tuple] | Exception:
-    """Frames, frames per second, points, share of points seen, and notes of a recording; or why it cannot be read."""
-    try:
-        value = io.guided(loader, path, reading)
-    except (DataError, MissingData) as error:
-        return error
+def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, float, tuple]:
+    """Frames, frames per second, points, share of points seen, and notes of a recording."""
     if isinstance(value, Motion):
         return value.frames, value.fps, len(value.skeleton), 1.0, value.notes
     mask = value.valid if isinstance(value, Positions) else value.visible
@@ -216,7 +198,7 @@ def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterato
 
 def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Iterator[tuple[str, Path, Callable]]:
     if name in SOURCES:
-        for kind, (pattern, loader) in SOURCES[name].files.items():
+        for kind, (pattern, loader) in SOURCES[name][1].items():
             for path in [place] if pattern == "." else sorted(place.glob(pattern)):
                 yield kind, path, loader
         return
@@ -226,7 +208,9 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
         if suffix in SUFFIXES:
             yield suffix[1:], path, SUFFIXES[suffix]
         elif suffix in _TEXTS:
-            head = _head(path)
+            head = b'"Frames"'  # of one that cannot be opened, its loader says so
+            with suppress(OSError), path.open("rb") as file:
+                head = file.read(4096)
             if b'"people"' in head and path.parent not in views:
                 views.add(path.parent)
                 yield "openpose", path.parent, partial(openpose.load, fps=video_fps)
@@ -237,12 +221,3 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
 def _below(place: Path, flat: bool) -> list[Path]:
     paths = [place] if place.is_file() else place.glob("*") if flat else place.rglob("*")
     return sorted(path for path in paths if path.is_file())
-
-
-def _head(path: Path) -> bytes:
-    """The first bytes of a JSON file; of one that cannot be opened, a key whose loader will say so."""
-    try:
-        with path.open("rb") as file:
-            return file.read(4096)
-    except OSError:
-        return b'"Frames"'

@@ -29,16 +29,12 @@ def rerooted(
     Args:
         translations: a joint below that moves is kept at its mean place and noted; "strict" refuses if it moves more
             than ``RIGID``, "mean" never. lines: where each joint stands in the file, for messages.
-
-    Raises:
-        DataError: see ``translations``.
     """
     names, parents, offset = skeleton.names, skeleton.parents, skeleton.offsets.double().numpy()
     reach = longest_chain(skeleton) or 1e-12
     strays = np.abs(place - offset).max((0, 2)) > SAME * reach
-    top, chain = 0, _trunk(parents)
-    for joint in chain:
-        top = joint if strays[joint] else top
+    chain = _trunk(parents)
+    top = [0, *(joint for joint in chain if strays[joint])][-1]
     above = chain[: chain.index(top)]
     root, first = torch.from_numpy(place[:, top]), rot[:, top]
     for joint in reversed(above):

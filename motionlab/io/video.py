@@ -198,13 +198,12 @@ def _small(picture: np.ndarray) -> np.ndarray:
 
 def _leave_out(mask: np.ndarray, boxes: Sequence[Sequence[float]], shape: tuple[int, ...]) -> None:
     """Sets a mask to 0 in boxes that are a fifth larger on each side."""
-    for left, top, right, bottom in boxes:
-        if not np.isfinite((left, top, right, bottom)).all():
-            continue
-        wide, high = 0.2 * (right - left), 0.2 * (bottom - top)
-        x, y = mask.shape[1] / shape[1], mask.shape[0] / shape[0]
-        rows = slice(*(int(max(v, 0)) for v in ((top - high) * y, (bottom + high) * y + 1)))
-        mask[rows, slice(*(int(max(v, 0)) for v in ((left - wide) * x, (right + wide) * x + 1)))] = 0
+    boxes = np.reshape(boxes, (-1, 4)).astype(float)
+    boxes = boxes[np.isfinite(boxes).all(1)]
+    more, scale = 0.2 * (boxes[:, 2:] - boxes[:, :2]), (mask.shape[1] / shape[1], mask.shape[0] / shape[0])
+    grown = np.hstack(((boxes[:, :2] - more) * scale, (boxes[:, 2:] + more) * scale + 1))
+    for left, top, right, bottom in grown.clip(0).astype(int):
+        mask[top:bottom, left:right] = 0
 
 
 def _shift(before: np.ndarray, after: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, float]:

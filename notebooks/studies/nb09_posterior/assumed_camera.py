@@ -150,7 +150,7 @@ def walkers(
         looks = looks + 1 if (long >= least).all() else 0  # not so where a time is not finite
         if looks == 2:
             return torch.from_numpy(sampler.get_chain(discard=cut, flat=True))
-    raise NotConverged(f"after {steps} steps {long.min():.0f} of {least:g} autocorrelation times", long.tolist())
+    raise NotConverged(f"after {steps} steps {long.min():.0f} of {least:g} autocorrelation times")
 
 
 def asked(

@@ -80,7 +80,7 @@ def minimise(
             if method == "lbfgs" and lowest >= before:
                 break
     if history and lowest == math.inf:
-        raise NotConverged("the energy or its gradient is not finite at the start", history)
+        raise NotConverged("the energy or its gradient is not finite at the start")
     with torch.no_grad():
         for value, kept in zip(moving, best, strict=True):
             value.copy_(kept)
