@@ -9,7 +9,7 @@ from torch import Tensor
 
 from data_synth.anatomy import RADIUS, excess, height_at_rest
 from data_synth.legs import HEEL
-from data_synth.truth import DOWN, LYING
+from data_synth.perform import DOWN, LYING
 from motionlab.motion import Motion
 
 #: Length of the toes in front of the ball joint, metres.

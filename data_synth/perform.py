@@ -1,9 +1,10 @@
-"""From a score to a motion: evaluate the channels, then solve the pose of every frame at once."""
+"""From a score to a motion: evaluate the channels, solve the pose of every frame at once, and say what was planned."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -13,7 +14,6 @@ from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
 from data_synth.legs import HEEL, bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
 from data_synth.score import CHANNELS, SIDES, SIGN, Score
 from data_synth.subjects import Subject
-from data_synth.truth import course, planned_contacts, resting
 from motionlab.motion import Motion
 from motionlab.rotation import rotation_about, sixd_to_matrix
 from motionlab.skeleton import fk
@@ -22,9 +22,13 @@ from motionlab.skeleton import fk
 NOISE = {
     "sway": 0.0035, "surge": 0.0035, "z": 0.0015, "yaw": 0.012, "pitch": 0.010, "tilt": 0.007,
     "flex": 0.014, "bend": 0.012, "twist": 0.016, "nod": 0.03, "turn": 0.05, "cock": 0.02,
-    "raise": 0.035, "abduct": 0.02, "rotate": 0.04, "elbow": 0.05, "pronate": 0.06, "wrist": 0.04, "shrug": 0.01,
+    "raised": 0.035, "abduct": 0.02, "rotate": 0.04, "elbow": 0.05, "pronate": 0.06, "wrist": 0.04, "shrug": 0.01,
 }  # fmt: skip
 KNEE = RADIUS["left_knee"]
+#: A pelvis lower than this is that of someone who sits or lies on the floor, metres.
+DOWN = 0.35
+#: A joint of such a body touches the floor within this of its height at rest, metres, and below this speed, m/s.
+LYING, STILL = 0.005, 0.028
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,32 +53,24 @@ def perform(score: Score, fps: float = 30.0) -> Take:
     frames = max(2, round(score.now * fps))
     t = torch.arange(frames, dtype=torch.float64) / fps
     control = _controls(score, t)
-    skeleton = score.subject.skeleton.to(torch.float64)
+    skeleton, name = score.subject.skeleton.to(torch.float64), "+".join(dict.fromkeys(x for *_, x in score.labels))
     root, rot = solve(score.subject, control)
-    contacts = planned_contacts(score, t)
-    motion = Motion(skeleton, root, rot, fps, contacts, "+".join(dict.fromkeys(x for *_, x in score.labels)))
-    rest = torch.tensor([height_at_rest(skeleton, name) for name in skeleton.contact_names], dtype=torch.float64)
-    motion = resting(motion, control["settle"], RADIUS["pelvis"], rest)
-    labels, phase = course(score, t)
-    return Take(motion.to(torch.float32), labels, phase, score.subject)
+    motion = _resting(Motion(skeleton, root, rot, fps, _planned_contacts(score, t), name), control["settle"])
+    return Take(motion.to(torch.float32), *_course(score, t), score.subject)
 
 
 def _controls(score: Score, t: Tensor) -> dict[str, Tensor]:
-    row = {name: i for i, name in enumerate(CHANNELS)}
-    initial = torch.tensor([score.initial[name] for name in CHANNELS], dtype=torch.float64)
-    names, start, duration, pieces = zip(*score.pieces, strict=True) if score.pieces else ((), (), (), ())
-    real = {"dtype": torch.float64}
-    channel = torch.tensor([row[name] for name in names], dtype=torch.long)
-    table = torch.tensor(pieces, **real).reshape(-1, 5)
-    curves = evaluate(initial, channel, torch.tensor(start, **real), torch.tensor(duration, **real), table, t)
+    initial = [score.initial[name] for name in CHANNELS]
+    names, *columns = zip(*score.pieces, strict=True) if score.pieces else ((), (), (), ())
+    channel = torch.tensor([CHANNELS.index(name) for name in names], dtype=torch.long)
+    initial, start, duration, pieces = (torch.tensor(x, dtype=torch.float64) for x in (initial, *columns))
+    curves = evaluate(initial, channel, start, duration, pieces.reshape(-1, 5), t)
     control = dict(zip(CHANNELS, curves, strict=True))
-    noisy = [name for name in CHANNELS if name.removeprefix("left_").removeprefix("right_") in NOISE]
+    noisy = {name: part for name in CHANNELS if (part := name.removeprefix("left_").removeprefix("right_")) in NOISE}
     generator = torch.Generator().manual_seed(int(torch.randint(2**31, (), generator=score.generator)))
-    rows = noise(t, len(noisy), generator)
     awake = 1 - 0.8 * control["settle"].clamp(0, 1)
-    for name, row_ in zip(noisy, rows, strict=True):
-        size = NOISE[name.removeprefix("left_").removeprefix("right_")] * score.subject.restless
-        control[name] = control[name] + size * row_ * awake
+    for (name, part), row in zip(noisy.items(), noise(t, len(noisy), generator), strict=True):
+        control[name] = control[name] + NOISE[part] * score.subject.restless * row * awake
     breath = (2 * math.pi * 0.26 * score.subject.tempo * t).sin()
     control["flex"] = control["flex"] - 0.008 * breath
     for side in SIDES:
@@ -229,7 +225,7 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
 def _arm_angles(rot, c, side, subject) -> None:
     name = subject.skeleton.index
     sign = SIGN[side]
-    abduct, lifted = c[f"{side}_abduct"], c[f"{side}_raise"]
+    abduct, lifted = c[f"{side}_abduct"], c[f"{side}_raised"]
     upper = (
         rotation_about("x", -lifted)
         @ rotation_about("z", sign * (abduct - math.pi / 2))
@@ -295,3 +291,46 @@ def _settle(pelvis: Tensor, rot: Tensor, c: dict[str, Tensor], subject: Subject)
         clear.append(torch.stack((*points, heights[:, ball] - skeleton.sole), -1))
     clearance = soft_min(torch.cat(clear, -1), 0.006)
     return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * clearance)[:, None]), -1)
+
+
+# ----------------------------------------------------------------------------------------------- what is known of it
+def _planned_contacts(score: Score, t: Tensor) -> Tensor:
+    """Contacts (T, C) of the joints that the score plants."""
+    names = score.subject.skeleton.contact_names
+    contacts = torch.zeros(len(t), len(names), dtype=torch.float64)
+    open_ended = [(joint, start, math.inf) for joint, start in score.planted.items()]
+    for joint, start, stop in [*score.contacts, *open_ended]:
+        contacts[(t >= start - 1e-9) & (t <= stop + 1e-9), names.index(joint)] = 1
+    return contacts
+
+
+def _resting(motion: Motion, settle: Tensor) -> Motion:
+    """Add the contacts of a body on the floor: joints at the floor that keep still.
+
+    Pelvis: within 4 cm of its thickness. The others, while it is lower than DOWN: within LYING of their height at
+    rest. Still: slower than STILL before and after.
+    """
+    names, points = motion.skeleton.contact_names, motion.positions[:, motion.skeleton.contact_indices]
+    rest = torch.tensor([height_at_rest(motion.skeleton, name) for name in names], dtype=torch.float64)
+    step = points.diff(dim=0).norm(dim=-1) * motion.fps
+    still = (torch.cat((step, step[-1:])) < STILL) & (torch.cat((step[:1], step)) < STILL)
+    touching = (motion.root[:, 2:] < DOWN) & ((points[..., 2] - rest).abs() < LYING)
+    lying = ((motion.root[:, 2] - RADIUS["pelvis"]).abs() < 0.04) & (settle > 0.999)
+    touching[:, names.index("pelvis")] = lying
+    return replace(motion, contacts=torch.maximum(motion.contacts, (touching & still).to(motion.contacts)))
+
+
+def _course(score: Score, t: Tensor) -> tuple[tuple[str, ...], Tensor]:
+    """Label and phase of every frame; the innermost action that covers a frame names it."""
+    labels, phase = ["idle"] * len(t), torch.zeros(len(t))
+    for start, stop, label in sorted(score.labels, key=lambda mark: mark[0] - mark[1]):
+        inside = ((t >= start - 1e-9) & (t < stop - 1e-9)).nonzero()[:, 0].tolist()
+        for i in inside:
+            labels[i] = label
+        if inside:
+            phase[inside] = ((t[inside] - start) / (stop - start)).clamp(0, 0.9999).float()
+    for (start, cycle), (stop, after) in pairwise(sorted(score.gait)):
+        if after > cycle:
+            inside = (t >= start) & (t < stop)
+            phase[inside] = ((cycle + (after - cycle) * (t[inside] - start) / (stop - start)) % 1).float()
+    return tuple(labels), phase

@@ -32,13 +32,13 @@ class Shell:
 
 
 @lru_cache(maxsize=4)
-def shell(body: BodyModel, faces: int = 4000) -> Shell:
-    """A skin of about ``faces`` triangles by decimation that keeps original vertices (Schroeder et al. 1992)."""
+def shell(body: BodyModel) -> Shell:
+    """A skin of about 4000 triangles by decimation that keeps original vertices (Schroeder et al. 1992)."""
     import pyvista as pv  # takes a second or more to load
 
     mesh = pv.PolyData.from_regular_faces(body.template.numpy(), body.faces.numpy())
-    if mesh.n_cells > faces:
-        mesh = mesh.decimate_pro(1 - faces / mesh.n_cells, preserve_topology=True)
+    if mesh.n_cells > 4000:
+        mesh = mesh.decimate_pro(1 - 4000 / mesh.n_cells, preserve_topology=True)
     _, index = cKDTree(body.template.numpy()).query(np.asarray(mesh.points))
     index, triangles = torch.from_numpy(index), torch.from_numpy(np.array(mesh.regular_faces)).long()
     carrier = body.weights[index][triangles].sum(1).argmax(-1)

@@ -49,7 +49,7 @@ def _accent(score: Score, left: str, right: str, at: float, beat: float) -> None
     fast = score.uniform(0.34, 0.48) * beat + 0.06
     for side, shape in zip(SIDES, (left, right), strict=True):
         raised, abduct, rotate, elbow = (value + score.uniform(-0.06, 0.06) for value in SHAPES[shape])
-        score.arm(side, at - fast, fast, abduct=abduct, rotate=rotate, elbow=max(0.15, elbow), **{"raise": raised})
+        score.limb(side, at - fast, fast, abduct=abduct, rotate=rotate, elbow=max(0.15, elbow), raised=raised)
 
 
 def _groove(score: Score, at: float, beat: float, k: int) -> None:
