@@ -25,6 +25,7 @@ from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, check_shape
 from motionlab.motion import FPS
+from motionlab.skeleton import STANDARD
 from motionlab.training.training_loop import TrainingRun
 
 _MEASURED = 2000  # windows that the normaliser is measured on
@@ -114,7 +115,7 @@ def denoising_losses(
         found["velocity"] = error[..., : layout.slices["pose"].stop].diff(dim=1).square().mean()
     if not {"fk", "contact"} & set(parts):
         return found
-    skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(estimate)
+    skeleton, rows = replace(STANDARD, offsets=offsets[:, None]), normaliser.undo(estimate)
     joints = layout.decode(rows, 1.0, skeleton).positions
     if "fk" in parts:
         true = layout.decode(normaliser.undo(truth), 1.0, skeleton).positions

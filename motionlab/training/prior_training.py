@@ -172,14 +172,13 @@ def fit_mixture(
     generator: torch.Generator,
     *,
     components: int = _COMPONENTS,
-    steps: int = 100,
     ridge: float = MIXTURE_RIDGE,
-    tolerance: float = 1e-2,
 ) -> tuple[InitGmm, list[float]]:
     """Fits a mixture to features (N, D) by expectation-maximisation, started from k-means++ and a few steps of k-means.
 
     Returns:
-        the mixture, and the mean log-likelihood (nats) before each step, until that grows by less than ``tolerance``.
+        the mixture, and the mean log-likelihood (nats) before each of at most 100 steps, until that grows by less than
+        0.01.
     Raises:
         DataError: fewer samples than features, or numbers that are not finite.
     """
@@ -191,12 +190,12 @@ def fit_mixture(
     x = features.double()
     share = torch.nn.functional.one_hot(_clusters(x, components, generator), components).double()
     history: list[float] = []
-    for _ in range(steps):
+    for _ in range(100):
         gmm = _maximise(x, share, ridge)
         joint = gmm.each(x)
         total = joint.logsumexp(-1)
         history.append(float(total.mean()))
-        if len(history) > 1 and history[-1] - history[-2] < tolerance:
+        if len(history) > 1 and history[-1] - history[-2] < 1e-2:
             break
         share = (joint - total[:, None]).exp()
     return gmm, history
