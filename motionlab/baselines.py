@@ -137,21 +137,20 @@ def one_euro(x: Tensor, fps: float, min_cutoff: float = 1.0, beta: float = 0.0, 
     return torch.stack(out, -2)
 
 
-def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tensor | None = None) -> Tensor:
-    """Smooths x (..., T, D) by a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother; gaps are filled.
+def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
+    """Smooths x (..., T, D) by a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother.
 
     The mean of p given x in: x_t = p_t + noise, dp = v dt, dv = white noise.
 
     Args:
         noise: standard deviation of a measurement, in units of x.
         acceleration: strength of the white acceleration, units of x / s^(3/2).
-        known: (..., T) or (..., T, D): where x was measured; what stands elsewhere is not looked at.
 
     Raises:
-        ShapeError: no frames, or ``known`` fits neither shape.
+        ShapeError: no frames.
         ValueError: fps, noise or acceleration is not a finite number above zero (without spread nothing weighs
             one measurement against another).
-        DataError: a measured x is not finite.
+        DataError: x is not finite.
     """
     sizes = check_shape(x, "... T D", "x")
     for name, value in (("fps", fps), ("noise", noise), ("acceleration", acceleration)):
@@ -159,17 +158,12 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tens
             raise ValueError(f"{name}: expected a finite number above zero, got {value}")
     if x.numel() == 0:
         raise ShapeError(f"x {tuple(x.shape)}: nothing to smooth")
-    if known is not None and tuple(known.shape) not in (tuple(x.shape), tuple(x.shape[:-1])):
-        raise ShapeError(f"known: expected {tuple(x.shape)} or {tuple(x.shape[:-1])}, got {tuple(known.shape)}")
-    if known is None and x.numel() > sizes["T"] ** 2 and x.isfinite().all():  # what it makes of x is a matrix times x
+    if not x.isfinite().all():
+        raise DataError("x holds NaN or infinity", remedy="fill it first")
+    if x.numel() > sizes["T"] ** 2:  # what it makes of x is a matrix times x
         weights = kalman(torch.eye(sizes["T"], dtype=torch.float64, device=x.device), fps, noise, acceleration)
         return (weights @ x.double()).to(x)
-    seen = torch.ones_like(x) if known is None else (known[..., None] if known.ndim < x.ndim else known).expand_as(x)
-    seen = seen.double()
-    z = torch.where(seen > 0, x.double(), 0.0)
-    if not z.isfinite().all():
-        raise DataError("x holds NaN or infinity where it was measured", remedy="mark it unknown with known=")
-    dt = 1 / fps
+    z, dt = x.double(), 1 / fps
     step = z.new_tensor([[1.0, dt], [0.0, 1.0]])
     q = acceleration**2 * z.new_tensor([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     mean = torch.zeros(*x.shape[:-2], sizes["D"], 2, 1, dtype=torch.float64, device=x.device)
@@ -179,7 +173,7 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tens
     for t in range(sizes["T"]):
         if t:
             mean, cov = step @ mean, step @ cov @ step.mT + q
-        gain = cov[..., :1] / (cov[..., :1, :1] + noise**2) * seen[..., t, :, None, None]
+        gain = cov[..., :1] / (cov[..., :1, :1] + noise**2)
         mean = mean + gain * (z[..., t, :, None, None] - mean[..., :1, :])
         cov = cov - gain * cov[..., :1, :]
         means, covs = [*means, mean], [*covs, cov]

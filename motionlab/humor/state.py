@@ -147,11 +147,11 @@ def angular_velocity(orientation: Tensor, fps: float) -> Tensor:
     return torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1)
 
 
-def to_motion(state: Tensor, skeleton: Skeleton, fps: float = 30.0, contacts: Tensor | None = None) -> Motion:
+def to_motion(state: Tensor, skeleton: Skeleton, fps: float = 30.0) -> Motion:
     """Returns the motion that states (..., T, 339) describe by root and angles; their ``joints`` play no part."""
     parts = unpack(state)
     rot = torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), dim=-3)
-    return Motion(skeleton, parts["trans"], rot, fps, contacts)
+    return Motion(skeleton, parts["trans"], rot, fps)
 
 
 def heading(state: Tensor) -> Frame:

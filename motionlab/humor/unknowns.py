@@ -193,10 +193,9 @@ def first_state_in_heading_frame(states: Tensor) -> Tensor:
     return state.localise(states, state.heading(states))
 
 
-def motion_of(body: Posed, fps: float, name: str = "", contacts: Tensor | None = None) -> Motion:
+def motion_of(body: Posed, fps: float, contacts: Tensor | None = None) -> Motion:
     """Returns the motion (B, T) of a posed body, each row on its own skeleton, without gradients."""
-    skeleton = skeleton_of(body.betas.detach())
-    return Motion(skeleton, body.root.detach(), body.rot.detach(), fps, contacts, name)
+    return Motion(skeleton_of(body.betas.detach()), body.root.detach(), body.rot.detach(), fps, contacts)
 
 
 # ------------------------------------------------------------------------------------------------------------- windows
