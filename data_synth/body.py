@@ -54,10 +54,8 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
 
     Its weights are clean by construction: every vertex hangs on the joint whose flesh it is and on
     joints at most two bones away, no entry is below 0.02, none is long-range. The soles are flat.
-    Three betas: height (5 % each), girth (1 cm each), leg length (5 % each).
-
-    Args:
-        spacing: metres between samples of the implicit surface; 0.02 gives about 8,000 vertices.
+    Three betas: height (5 % each), girth (1 cm each), leg length (5 % each). spacing: metres between samples of the
+    implicit surface; 0.02 gives about 8,000 vertices.
     """
     import pyvista as pv  # takes a second or more to load
 
@@ -95,11 +93,7 @@ def planted(body: BodyModel, generator: torch.Generator, share: float = 0.03) ->
 
     Entries that were zero get a weight below 0.01, always on joints at least four steps along the
     tree from every joint that the vertex truly hangs on; rows are renormalised. The nose is planted as
-    printed: 0.2 % shared by the right hip, left knee and right knee.
-
-    Args:
-        body: clean weights to start from.
-        share: planted entries as a share of all non-zero weights (the thesis: 3 %).
+    printed: 0.2 % shared by the right hip, left knee and right knee. share: of all non-zero weights.
 
     Returns:
         The body, and a mask (V, J), True where an entry was planted.

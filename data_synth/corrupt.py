@@ -123,10 +123,8 @@ def _hide(observation: Observation2D, mask: Tensor) -> tuple[Observation2D, Tens
 
 
 def _runs(shape: Sequence[int], share: float, length: int, generator: torch.Generator) -> Tensor:
-    """Mask of runs along the last axis; each frame is covered with probability ``share``.
-
-    A frame is free when none of ``length`` possible starts fires: (1 - p)^length = 1 - share.
-    """
+    """Mask of runs along the last axis; each frame is covered with probability ``share``. A frame is free when none of
+    ``length`` possible starts fires: (1 - p)^length = 1 - share."""
     p = 1 - (1 - share) ** (1 / length)
     starts = torch.rand(*shape[:-1], shape[-1] + length - 1, generator=generator) < p
     return starts.unfold(-1, length, 1).any(-1)

@@ -12,7 +12,7 @@ from torch import Tensor
 from data_synth.anatomy import RADIUS, height_at_rest
 from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
 from data_synth.legs import HEEL, bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
-from data_synth.score import CHANNELS, SIDES, SIGN, Score
+from data_synth.score import CHANNELS, SIDED, SIDES, SIGN, Score
 from data_synth.subjects import Subject
 from motionlab.motion import Motion
 from motionlab.rotation import rotation_about, sixd_to_matrix
@@ -46,10 +46,8 @@ class Take:
 
 
 def perform(score: Score, fps: float = 30.0) -> Take:
-    """Play a score from time 0 to the time reached, at any frame rate.
-
-    Feet, knees and hands that the score plants stay where they are; the pelvis gives way to them.
-    """
+    """Play a score from time 0 to the time reached, at any frame rate. Feet, knees and hands that the score plants stay
+    where they are; the pelvis gives way to them."""
     frames = max(2, round(score.now * fps))
     t = torch.arange(frames, dtype=torch.float64) / fps
     control = _controls(score, t)
@@ -104,25 +102,26 @@ def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
             rotation_about("y", turn / 2) @ rotation_about("x", nod / 2) @ rotation_about("z", cock / 2)
         )
 
-    feet = {side: _foot(subject, c, side) for side in SIDES}
+    sides = {side: c | {part: c[f"{side}_{part}"] for part in SIDED} for side in SIDES}
+    feet = {side: _foot(subject, own, side) for side, own in sides.items()}
     pelvis = _kneel(pelvis, pelvis_rot, feet, c, subject)
     pelvis = _within_reach(pelvis, pelvis_rot, feet, c, subject)
-    for side in SIDES:
-        _leg(rot, pelvis, pelvis_rot, feet[side], c, side, subject)
-        _arm_angles(rot, c, side, subject)
+    for side, own in sides.items():
+        _leg(rot, pelvis, pelvis_rot, feet[side], own, side, subject)
+        _arm_angles(rot, own, side, subject)
     rot[:, 0] = pelvis_rot
     pelvis = _settle(pelvis, rot, c, subject)
     if any(c[f"{side}_grip"].any() for side in SIDES):
         positions, orientations = fk(skeleton, pelvis, rot)
-        for side in SIDES:
-            _arm_reach(rot, positions, orientations, c, side, subject)
+        for side, own in sides.items():
+            _arm_reach(rot, positions, orientations, own, side, subject)
     return pelvis, rot
 
 
 def _foot(subject: Subject, c: dict[str, Tensor], side: str) -> tuple[Tensor, Tensor]:
     offset = subject.skeleton.offsets[subject.skeleton.index(f"{side}_foot")].to(torch.float64)
-    place = torch.stack([c[f"{side}_{part}"] for part in ("foot_x", "foot_y", "lift")], -1)
-    return foot_pose(place, c[f"{side}_foot_yaw"], c[f"{side}_heel"], c[f"{side}_toe"], offset, subject.skeleton.sole)
+    place = torch.stack([c[part] for part in ("foot_x", "foot_y", "lift")], -1)
+    return foot_pose(place, c["foot_yaw"], c["heel"], c["toe"], offset, subject.skeleton.sole)
 
 
 def _hip(subject: Subject, side: str) -> Tensor:
@@ -139,10 +138,8 @@ def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -
 
 
 def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
-    """Shift the pelvis as little as possible so that the thighs of planted knees keep their length.
-
-    Least |shift|^2 + sum w / (1 - w) error^2, w the weight of ``kneel``: exact at 1, no effect at 0.
-    """
+    """Shift the pelvis as little as possible so that the thighs of planted knees keep their length. Least |shift|^2 +
+    sum w / (1 - w) error^2, w the weight of ``kneel``: exact at 1, no effect at 0."""
     weight = {side: c[f"{side}_kneel"] for side in SIDES}
     if not any(w.any() for w in weight.values()):
         return pelvis
@@ -165,10 +162,8 @@ def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor],
 
 
 def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
-    """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait).
-
-    A foot in the air has leave to hang back, by 0.3 of its height.
-    """
+    """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait). A foot in the air
+    has leave to hang back, by 0.3 of its height."""
     longest = 0.9985 - 0.06 * c["low"]
     soft = 0.002 + 0.06 * c["low"]
     limits = [pelvis[:, 2]]
@@ -188,70 +183,60 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
     hip = pelvis + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
     left = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
     sign = SIGN[side]
-    yaw_left = heading_rotation(c[f"{side}_foot_yaw"])[..., 0]
+    yaw_left = heading_rotation(c["foot_yaw"])[..., 0]
     hinge = unit(0.55 * yaw_left + 0.45 * (pelvis_rot @ left))
-    hinge = (rotation_about("z", sign * c[f"{side}_splay"]) @ hinge[..., None])[..., 0]
-    kneel = c[f"{side}_kneel"][:, None]
+    hinge = (rotation_about("z", sign * c["splay"]) @ hinge[..., None])[..., 0]
+    kneel = c["kneel"][:, None]
     if kneel.any():
-        knee = _knee_on_floor(foot, c[f"{side}_foot_yaw"], subject)
+        knee = _knee_on_floor(foot, c["foot_yaw"], subject)
         hinge = unit(hinge + kneel * (unit(torch.linalg.cross(hip - ankle, knee - ankle, dim=-1)) - hinge))
-    loose = c[f"{side}_loose"][:, None]
+    loose = c["loose"][:, None]
     if loose.any():
-        thigh_rot = (
-            pelvis_rot
-            @ rotation_about("x", -c[f"{side}_hip_flex"])
-            @ rotation_about("z", sign * c[f"{side}_hip_abduct"])
-            @ rotation_about("y", sign * c[f"{side}_hip_twist"])
-        )
-        shin_rot = thigh_rot @ rotation_about("x", c[f"{side}_knee"])
+        thigh_rot = pelvis_rot @ rotation_about("x", -c["hip_flex"]) @ rotation_about("z", sign * c["hip_abduct"])
+        thigh_rot = thigh_rot @ rotation_about("y", sign * c["hip_twist"])
+        shin_rot = thigh_rot @ rotation_about("x", c["knee"])
         free_ankle = hip - thigh * thigh_rot[..., 1] - shin * shin_rot[..., 1]
         ankle = ankle + loose * (free_ankle - ankle)
         hinge = unit(hinge + loose * (thigh_rot[..., 0] - hinge))
-        free_foot = shin_rot @ rotation_about("x", c[f"{side}_ankle"])
+        free_foot = shin_rot @ rotation_about("x", c["ankle"])
         mixed = foot_rot[..., :2] + loose[..., None] * (free_foot - foot_rot)[..., :2]
         foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
-    hanging_back = ramp(c[f"{side}_lift"] / (0.012 + 0.06 * c["air"]) + c[f"{side}_loose"])
+    hanging_back = ramp(c["lift"] / (0.012 + 0.06 * c["air"]) + c["loose"])
     ease = 0.02 * hanging_back + 0.07 * (c["bent"] + c["low"])
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
     thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
-    foot_rot = hanging(foot_rot, shin_rot, ramp(c[f"{side}_lift"] / 0.015))
+    foot_rot = hanging(foot_rot, shin_rot, ramp(c["lift"] / 0.015))
     rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
     rot[:, name(f"{side}_knee")] = thigh_rot.mT @ shin_rot
     rot[:, name(f"{side}_ankle")] = shin_rot.mT @ foot_rot
-    toes = soft_clip(c[f"{side}_heel"], -0.7, 1.38, 0.12) * (1 - loose[:, 0])
+    toes = soft_clip(c["heel"], -0.7, 1.38, 0.12) * (1 - loose[:, 0])
     rot[:, name(f"{side}_foot")] = rotation_about("x", -toes)
 
 
 def _arm_angles(rot, c, side, subject) -> None:
     name = subject.skeleton.index
     sign = SIGN[side]
-    abduct, lifted = c[f"{side}_abduct"], c[f"{side}_raised"]
-    upper = (
-        rotation_about("x", -lifted)
-        @ rotation_about("z", sign * (abduct - math.pi / 2))
-        @ rotation_about("x", -c[f"{side}_rotate"])
-    )
+    upper = rotation_about("x", -c["raised"]) @ rotation_about("z", sign * (c["abduct"] - math.pi / 2))
+    upper = upper @ rotation_about("x", -c["rotate"])
     way = sign * upper[..., 0]  # of the upper arm, in the thorax
     high, ahead = way[:, 1], way[:, 2]
-    shrug = 0.45 * ramp((high + 0.75) / 1.75) + c[f"{side}_shrug"] - 0.02
+    shrug = 0.45 * ramp((high + 0.75) / 1.75) + c["shrug"] - 0.02
     reach = 0.22 * ramp((ahead + 0.2) / 1.2) - 0.02
     collar = rotation_about("y", -sign * reach) @ rotation_about("z", sign * shrug)
     rot[:, name(f"{side}_collar")] = collar
     rot[:, name(f"{side}_shoulder")] = collar.mT @ upper
-    elbow = soft_clip(c[f"{side}_elbow"], 0.03, 2.55, 0.12)
+    elbow = soft_clip(c["elbow"], 0.03, 2.55, 0.12)
     rot[:, name(f"{side}_elbow")] = rotation_about("y", -sign * elbow)
-    rot[:, name(f"{side}_wrist")] = rotation_about("x", -c[f"{side}_pronate"]) @ rotation_about(
-        "z", sign * -c[f"{side}_wrist"]
-    )
+    rot[:, name(f"{side}_wrist")] = rotation_about("x", -c["pronate"]) @ rotation_about("z", sign * -c["wrist"])
 
 
 def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
     """Bring the wrist to the place that the score gives, by the weight of the grip."""
     name = subject.skeleton.index
     sign = SIGN[side]
-    grip = c[f"{side}_grip"][:, None]
+    grip = c["grip"][:, None]
     shoulder, wrist = positions[:, name(f"{side}_shoulder")], positions[:, name(f"{side}_wrist")]
-    place = torch.stack([c[f"{side}_hand_{axis}"] for axis in "xyz"], -1)
+    place = torch.stack([c[f"hand_{axis}"] for axis in "xyz"], -1)
     target = wrist + grip * (place - wrist)
     target = target + 0.2 * grip * (1 - grip) * target.new_tensor([0.0, 0.0, 1.0])  # it comes from above
     swing = orientations[:, name(f"{side}_shoulder"), :, 1]
@@ -269,10 +254,8 @@ def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
 
 
 def _settle(pelvis: Tensor, rot: Tensor, c: dict[str, Tensor], subject: Subject) -> Tensor:
-    """Lay the body on the floor: raise or lower it until its lowest part touches, by the weight of ``settle``.
-
-    An arm whose hand has a place of its own does not count.
-    """
+    """Lay the body on the floor: raise or lower it until its lowest part touches, by the weight of ``settle``. An arm
+    whose hand has a place of its own does not count."""
     weight = c["settle"]
     if not weight.any():
         return pelvis

@@ -25,14 +25,14 @@ _BODY = (
     "x", "y", "z", "heading", "sway", "surge", "yaw", "pitch", "roll", "tilt", "flex", "bend", "twist",
     "nod", "turn", "cock", "steady", "settle", "air", "bent", "low",
 )  # fmt: skip
-_SIDED = (
+SIDED = (
     "raised", "abduct", "rotate", "elbow", "pronate", "wrist", "shrug",  # the arm, by angles
     "grip", "hand_x", "hand_y", "hand_z",  # the arm, by where the wrist is
     "foot_x", "foot_y", "lift", "foot_yaw", "heel", "toe", "splay", "kneel",  # the leg, by where the foot is
     "loose", "hip_flex", "hip_abduct", "hip_twist", "knee", "ankle",  # the leg, by angles
 )  # fmt: skip
 #: All channels: metres, radians, or weights between 0 and 1 (steady, settle, air, bent, low, grip, kneel, loose).
-CHANNELS = _BODY + tuple(f"{side}_{name}" for name in _SIDED for side in SIDES)
+CHANNELS = _BODY + tuple(f"{side}_{name}" for name in SIDED for side in SIDES)
 
 
 def uniform(generator: torch.Generator, low: float, high: float) -> float:

@@ -20,11 +20,8 @@ FACES_AT_ONCE = 1_000_000  # per scene: bounds memory on long clips
 
 @dataclass(frozen=True, eq=False)
 class Shell:
-    """A coarser skin of a body whose vertices are some of the body's own.
-
-    vertices (N,): indices into the body's. faces (F, 3): indices into ``vertices``. carrier (F,): the
-    joint that carries most of each face.
-    """
+    """A coarser skin of a body whose vertices are some of the body's own. vertices (N,): indices into the body's. faces
+    (F, 3): indices into ``vertices``. carrier (F,): the joint that carries most of each face."""
 
     vertices: Tensor
     faces: Tensor
@@ -51,12 +48,8 @@ def gap_to(vertices: Tensor, faces: Tensor, eye: Tensor, targets: Tensor) -> tup
     All frames share one scene: frame t is moved, eye and all, to a cell of its own on a grid, so far from
     the others that what a line meets on its way to the target can only be of its own frame.
 
-    Args:
-        vertices: (T, V, 3) metres. faces: (F, 3). eye: (3,). targets: (T, N, 3).
-
-    Returns:
-        gap (T, N) in metres, positive where something is in the way and -1 where nothing is; the face met
-        (T, N), 0 where none.
+    vertices (T, V, 3), eye (3,), targets (T, N, 3): metres. Returns the gap (T, N) in metres, positive where something
+    is in the way and -1 where nothing is, and the face met (T, N), 0 where none.
     """
     sizes = check_shape(targets, "T N 3", "targets")
     check_shape(vertices, f"{sizes['T']} V 3", "vertices")

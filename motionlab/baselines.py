@@ -37,13 +37,8 @@ def _mask(known: Tensor, motion: Motion) -> Tensor:
 def nearest_known(known: Tensor) -> tuple[Tensor, Tensor]:
     """Computes the nearest known frame at or before each frame, and at or after it, from a mask of known frames.
 
-    Before the first known frame both are the first one, after the last one both are the last.
-
-    Args:
-        known: (..., T) bool.
-
-    Returns:
-        two (..., T) int64 frame indices, always within 0..T-1; without meaning in a row that knows no frame.
+    known: (..., T) bool. Two (..., T) int64 frame indices, always within 0..T-1: before the first known frame both are
+    the first one, after the last one both are the last; without meaning in a row that knows no frame.
     """
     frames = known.shape[-1]
     time = torch.arange(frames, device=known.device).expand(known.shape)
@@ -186,10 +181,8 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
 
 
 def _smooth_rotations(rot: Tensor, smoother: Callable[[Tensor], Tensor]) -> Tensor:
-    """Rotations (..., T, J, 3, 3) with ``smoother`` applied to (..., T, 3 J) tangent vectors at each joint's mean.
-
-    The vectors are made continuous in time, so a joint that spins is followed round.
-    """
+    """Rotations (..., T, J, 3, 3) with ``smoother`` applied to (..., T, 3 J) tangent vectors at each joint's mean. The
+    vectors are made continuous in time, so a joint that spins is followed round."""
     check_shape(rot, "... T J 3 3", "rot")
     centre = rotation.mean(rot.movedim(-4, -3))[..., None, :, :, :]
     tangent = rotation.unroll_axis_angle(rotation.log(centre.mT @ rot), dim=-3)

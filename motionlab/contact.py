@@ -31,11 +31,8 @@ def resting_heights(skeleton: Skeleton) -> Tensor:
 
 
 def _hysteresis(on: Tensor, off: Tensor) -> Tensor:
-    """Runs of not ``off`` in time that hold at least one ``on``: bool (..., T, C), as both.
-
-    The same forwards and backwards in time: a run begins and ends at the loose threshold and needs the
-    strict one once.
-    """
+    """Runs of not ``off`` in time that hold at least one ``on``: bool (..., T, C), as both. The same forwards and
+    backwards in time: a run begins and ends at the loose threshold and needs the strict one once."""
     on = on & ~off
 
     def since(on: Tensor, off: Tensor) -> Tensor:  # was the last event an "on"?

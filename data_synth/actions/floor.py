@@ -78,10 +78,8 @@ def _to_back(score: Score, span: float) -> None:
 
 
 def _roll(score: Score, rolls: float, left: int) -> None:
-    """Half turns about the long axis, arms at the sides; back again, or on to a whole turn.
-
-    left: 1 where a positive turn carries the body to the left of its heading (head behind), -1 where to the right.
-    """
+    """Half turns about the long axis, arms at the sides; back again, or on to a whole turn. left: 1 where a positive
+    turn carries the body to the left of its heading (head behind), -1 where to the right."""
     if not rolls:
         return
     v, way = score.uniform, 1 if rolls > 0 else -1

@@ -52,9 +52,7 @@ def walk(
     manner: str | None = None,
 ) -> None:
     """Walk for about ``seconds`` at ``speed`` m/s (drawn if None) while the heading changes by ``turn`` radians.
-
-    manner: None, or one of MANNERS; people who step backwards or sideways keep to about half the speed.
-    """
+    manner: None, or one of MANNERS; people who step backwards or sideways keep to about half the speed."""
     speed = score.uniform(0.8, 1.6) if speed is None else speed
     with score.action("walk"):
         length, step_time, gait = walking_gait(score, speed)

@@ -27,10 +27,8 @@ def _sines(count: int, size: int) -> Tensor:
 
 
 class Denoiser(nn.Module):
-    """features: numbers per frame. size: of a token. patch: frames in a token.
-
-    "small", "compact" and "thesis" sizes: ``SIZES``.
-    """
+    """features: numbers per frame. size: of a token. patch: frames in a token. "small", "compact" and "thesis" sizes:
+    ``SIZES``."""
 
     def __init__(
         self,

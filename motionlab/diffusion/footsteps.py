@@ -36,10 +36,8 @@ _Ends = tuple[int, int]  # the frames between which a foot goes
 
 @dataclass(frozen=True)
 class _Glide:
-    """Frames first to last of a clip's foot that is said to stand and travels.
-
-    q: share of its way at each. rests: shares of the way where it comes to rest, n + 1 of them. length: metres.
-    """
+    """Frames first to last of a clip's foot that is said to stand and travels. q: share of its way at each. rests:
+    shares of the way where it comes to rest, n + 1 of them. length: metres."""
 
     clip: int
     foot: int

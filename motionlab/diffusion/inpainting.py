@@ -104,10 +104,8 @@ def inpaint(
 def _replace(
     schedule: NoiseSchedule, known: Tensor, m: Tensor, generator: torch.Generator, *, last: bool = True
 ) -> After:
-    """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step.
-
-    last: also behind the last step, where it is not noised any more: exact, and the cause of the seam. m may be soft.
-    """
+    """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step. last: also behind the last
+    step, where it is not noised any more: exact, and the cause of the seam. m may be soft."""
 
     def after(x: Tensor, x0: Tensor, t: int) -> Tensor:
         if t == 0 and not last:

@@ -271,10 +271,8 @@ def preconditioned_motion(
 def _preconditioned(
     unknown: Unknowns, moving: tuple[str, ...], priors: Priors, evidence: Evidence, weights: dict[str, float]
 ) -> tuple[dict[str, Tensor], Back]:
-    """Computes new numbers to move, zeros at the start, and the way from them to the unknowns.
-
-    unknown: of stages 1 and 2 with one window each, (G, 1, T, ...). moving: those that may change.
-    """
+    """Computes new numbers to move, zeros at the start, and the way from them to the unknowns. unknown: of stages 1 and
+    2 with one window each, (G, 1, T, ...). moving: those that may change."""
     named = unknown.named()
     names = [n for n in _OF_FRAMES if n in moving]
     frames, sizes = unknown.trans.shape[2], [named[n].shape[-1] for n in names]

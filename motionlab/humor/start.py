@@ -118,10 +118,8 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def interpolate_unseen(trans: Tensor, turn: Tensor, known: Tensor, fps: float) -> tuple[Tensor, Tensor]:
-    """Computes root (B, T, 3) and orientation (B, T, 3, 3) interpolated where not ``known`` (B, T); ends hold.
-
-    A clip of which nothing is known stands upright at the origin, its feet on the floor, and looks along +y.
-    """
+    """Computes root (B, T, 3) and orientation (B, T, 3, 3) interpolated where not ``known`` (B, T); ends hold. A clip
+    of which nothing is known stands upright at the origin, its feet on the floor, and looks along +y."""
     none = ~known.any(-1)
     up, height = UPRIGHT.to(turn), STANDARD.standing_height().to(trans)
     trans = torch.where(none[:, None, None], torch.nn.functional.pad(height[None], (2, 0)), trans)
@@ -162,10 +160,8 @@ def _orientations() -> tuple[Tensor, Tensor]:
 
 
 def _place(evidence: Evidence, view: View, poses: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
-    """Best world positions (B, T, N, 3) of N orientations, and their robust reprojection errors (B, T, N).
-
-    Errors are in units of the person's apparent size, weighted by confidence.
-    """
+    """Best world positions (B, T, N, 3) of N orientations, and their robust reprojection errors (B, T, N). Errors are
+    in units of the person's apparent size, weighted by confidence."""
     k = view.intrinsics[:, None, None]
     plane = (evidence.values - k[..., :2, 2]) / torch.stack((k[..., 0, 0], k[..., 1, 1]), -1)  # (B, T, K, 2)
     weight = evidence.weight.square()

@@ -43,7 +43,7 @@ def describe(motion: Motion) -> dict[str, Tensor]:
     trunk = torch.nn.functional.normalize(p[..., index("neck"), :] - pelvis, dim=-1)
     feet = [motion.skeleton.contact_names.index(name) for name in FEET]
     hands = p[..., [index("left_wrist"), index("right_wrist")], 2]
-    found = {
+    return {
         "root speed": moving[..., 0, :2].norm(dim=-1).mean(-1),
         "turning rate": torch.rad2deg(turn).mean(-1),
         "joint speed": moving.norm(dim=-1).mean((-1, -2)),
@@ -57,7 +57,6 @@ def describe(motion: Motion) -> dict[str, Tensor]:
         "trunk lean": torch.rad2deg(torch.acos(trunk[..., 2].clamp(-1, 1))).mean(-1),
         "hand height": hands.mean((-1, -2)),
     }
-    return {name: found[name] for name in DESCRIPTION_UNITS}
 
 
 def _power_above(moving: Tensor, fps: float, hertz: float) -> Tensor:

@@ -38,7 +38,7 @@ from motionlab.humor.cvae import Cvae, Gaussian, kl
 from motionlab.humor.state import DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, globalise, heading, localise, unpack
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, fk
-from motionlab.training.training_loop import TrainingRun, fast_halves
+from motionlab.training.training_loop import TrainingRun, fast_halves, seeded
 
 _PEOPLE = 0.7  # standard deviation, in betas, of the bodies that the motions are put on
 #: An error of one: metres, m/s, matrix entries, rad/s.
@@ -113,9 +113,7 @@ class ChainTraining(TrainingRun):
         some, *_ = examples.drawn(2000, torch.Generator().manual_seed(recipe.seed))
         pairs = tuple(x.flatten(0, 1) for x in state.transition_pairs(some))
         self.scales = replace(Scales.measure(*pairs), half=fast_halves())
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(recipe.seed)
-            model = Cvae(recipe.width, skip=True, direct=True)
+        model = seeded(recipe.seed, lambda: Cvae(recipe.width, skip=True, direct=True))
         torch.nn.init.zeros_(model.skip.weight)
         with torch.no_grad():
             model.decoder.net[-1].weight *= 0.1

@@ -26,7 +26,7 @@ from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, check_shape
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD
-from motionlab.training.training_loop import TrainingRun
+from motionlab.training.training_loop import TrainingRun, seeded
 
 _MEASURED = 2000  # windows that the normaliser is measured on
 
@@ -42,9 +42,7 @@ class DenoiserTraining(TrainingRun):
             message = f"windows of {windows.length} frames at {windows.fps:g} fps; expected {recipe.frames} at {FPS:g}"
             raise DataError(message, remedy="gather windows of the recipe's length from motions at 30 fps")
         self.windows, self.layout, self.schedule, self.clip = windows, recipe.layout, recipe.schedule, recipe.clip
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(recipe.seed)
-            model = recipe.denoiser()
+        model = seeded(recipe.seed, recipe.denoiser)
         if start is None:
             some = self.layout.encode(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))
             sizes = Normaliser.measure(some, self.layout, root_unit=recipe.root_unit)

@@ -19,7 +19,7 @@ from motionlab.errors import DataError, check_shape
 from motionlab.humor.cvae import Gaussian, kl
 from motionlab.humor.priors import POSE_LATENT, InitGmm, PosePrior
 from motionlab.skeleton import STANDARD, fk
-from motionlab.training.training_loop import TrainingRun
+from motionlab.training.training_loop import TrainingRun, seeded
 
 _COMPONENTS = 12
 MIXTURE_RIDGE = 1e-4  # square metres, or (metres per second)^2: one centimetre
@@ -93,9 +93,7 @@ class _PosePriorRun(TrainingRun):
     def __init__(
         self, recipe: _PoseRecipe, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator
     ) -> None:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
-            model = PosePrior()
+        model = seeded(int(torch.randint(2**31, (), generator=generator)), PosePrior)
         with torch.no_grad():
             model.out.weight.mul_(0.1)
             model.out.bias.copy_(rotation.matrix_to_sixd(torch.eye(3)).repeat(21))

@@ -39,6 +39,13 @@ def fast_halves() -> bool:
     return torch.cpu._is_avx512_bf16_supported()
 
 
+def seeded(seed: int, build: Callable[[], nn.Module]) -> nn.Module:
+    """Builds a network with new weights from a seed; torch's own generator stays as it is."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return build()
+
+
 class TrainingRun(ABC):
     """A training run: everything that decides how it goes on.
 

@@ -169,10 +169,8 @@ def _round(
     note: Callable[[], None],
     progress: bool | str,
 ) -> tuple[Unknowns, BatchFit, Tensor]:
-    """One linearisation and the searches around it: from where a clip is, and from where it may jump to.
-
-    size (B,): of each clip's energy. jumping: bool (B,), clips that may jump; returned anew.
-    """
+    """One linearisation and the searches around it: from where a clip is, and from where it may jump to. size (B,): of
+    each clip's energy. jumping: bool (B,), clips that may jump; returned anew."""
     clips = len(size)
     white = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
     who, whitener, first = _starts(problem, unknown, white, plan.mode_jumps if jumping.any() else 0, plan.tolerance)
@@ -293,7 +291,7 @@ def _starts(
     if not most or not _weight(problem, unknown):
         return stay, white.first, here
     found = mixture_modes(problem, unknown, white)
-    gain, which = found.deepest(most)
+    gain, which = found.gain.topk(min(most, found.gain.shape[1]), 1)
     who, k = (gain > share * found.energy.abs()[:, None]).nonzero().unbind(1)
     whitener, begin = in_mode(white, found, who, which[who, k])
     return torch.cat((stay, who)), torch.cat((white.first, whitener)), torch.cat((here, begin))
@@ -307,10 +305,6 @@ class MixtureModes(NamedTuple):
     gain: Tensor
     where: Tensor
     matrix: Tensor
-
-    def deepest(self, most: int) -> tuple[Tensor, Tensor]:
-        """Returns the ``most`` largest gains (B, most), and which components they are."""
-        return self.gain.topk(min(most, self.gain.shape[1]), 1)
 
 
 def in_mode(white: Whitening, found: MixtureModes, who: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
@@ -326,10 +320,8 @@ def in_mode(white: Whitening, found: MixtureModes, who: Tensor, which: Tensor) -
 
 
 def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> MixtureModes:
-    """Computes, for each mixture component of the first state, how much lower the energy should be there.
-
-    Where rounding left no mode the point is a saddle, and a search from there a waste.
-    """
+    """Computes, for each mixture component of the first state, how much lower the energy should be there. Where
+    rounding left no mode the point is a saddle, and a search from there a waste."""
     clips, size = white.first.shape[:2]
     weight, gmm = _weight(problem, unknown), problem.priors.initial
     new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": white.first.new_zeros(clips, size).requires_grad_()}

@@ -57,10 +57,8 @@ class Rows(NamedTuple):
 
 
 def _posed(x: Tensor, betas: Tensor, *, size: int, marks: bool = False) -> Body:
-    """Computes the joints of N states (N, 339), own heading frames, or the 25 landmarks, and how they move.
-
-    betas (N, 8). size: n.
-    """
+    """Computes the joints of N states (N, 339), own heading frames, or the 25 landmarks, and how they move. betas
+    (N, 8). size: n."""
     rot = x[:, ADDED:].unflatten(1, (_J, 3, 3)).mT
     bones = offsets(betas)
     p, turns = fk(replace(STANDARD, offsets=bones), x[:, :3], rot)
@@ -224,11 +222,8 @@ def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge
 
 
 def factorised(h: Tensor) -> Tensor:
-    """Computes Cholesky factors (B, m, m) from symmetric matrices.
-
-    A matrix that rounding made indefinite gets more on its diagonal. One that is not finite gives the identity, so that
-    one bad clip does not end the others.
-    """
+    """Computes Cholesky factors (B, m, m) from symmetric matrices. A matrix that rounding made indefinite gets more on
+    its diagonal. One that is not finite gives the identity, so that one bad clip does not end the others."""
     factor, bad = torch.linalg.cholesky_ex(h)
     if not bad.any():
         return factor
