@@ -79,14 +79,9 @@ def keypoints(motion: Motion, body: BodyModel) -> Tensor:
 
 
 def observe(
-    motion: Motion,
-    body: BodyModel,
-    camera: Camera,
-    generator: torch.Generator,
-    occluders: Sequence[Occluder] = (),
-    *,
+    motion: Motion, body: BodyModel, camera: Camera, generator: torch.Generator, occluders: Sequence[Occluder] = (), *,
     correlation: float = 0.5,
-) -> Capture:
+) -> Capture:  # fmt: skip
     """What a detector sees of one clip.
 
     The error of each coordinate is Gaussian with
@@ -140,12 +135,9 @@ def observe(
 
 
 def frame_motion(
-    motion: Motion,
-    generator: torch.Generator,
-    *,
-    azimuth: tuple[float, float] = (0.0, 360.0),
+    motion: Motion, generator: torch.Generator, *, azimuth: tuple[float, float] = (0.0, 360.0),
     stand: tuple[float, float] = (0.8, 2.2),
-) -> Camera:
+) -> Camera:  # fmt: skip
     """A plausible camera that keeps the person in view for the whole motion, from a random side.
 
     Drawn: the direction in which it stands, from ``azimuth`` degrees about the world's z from +x; its height

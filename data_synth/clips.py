@@ -12,14 +12,9 @@ from data_synth.subjects import SUBJECTS, Subject
 
 
 def draw(
-    count: int,
-    generator: torch.Generator,
-    *,
-    actions: Sequence[str] = tuple(ACTIONS),
-    subjects: Sequence[Subject] = SUBJECTS,
-    fps: float = 30.0,
-    **options: object,
-) -> list[Take]:
+    count: int, generator: torch.Generator, *, actions: Sequence[str] = tuple(ACTIONS),
+    subjects: Sequence[Subject] = SUBJECTS, fps: float = 30.0, **options: object,
+) -> list[Take]:  # fmt: skip
     """``count`` takes: the actions in turn, each by the next person, each with draws of its own.
 
     options go to every action and must fit each of them.

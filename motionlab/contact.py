@@ -43,13 +43,9 @@ def _hysteresis(on: Tensor, off: Tensor) -> Tensor:
 
 
 def contacts_from_positions(
-    positions: Tensor,
-    fps: float,
-    resting: Tensor | float,
-    *,
-    height: tuple[float, float] = (0.03, 0.06),
+    positions: Tensor, fps: float, resting: Tensor | float, *, height: tuple[float, float] = (0.03, 0.06),
     speed: tuple[float, float] = (0.25, 0.5),
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Computes contact labels (..., T, C), 0 or 1, from joint positions (..., T, C, 3) in metres, world, z up.
 
     A contact is a run of frames below both loose thresholds that goes below both strict ones at least once.

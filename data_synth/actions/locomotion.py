@@ -44,13 +44,8 @@ def walking_gait(score: Score, speed: float) -> tuple[float, float, Gait]:
 
 
 def walk(
-    score: Score,
-    *,
-    seconds: float = 4.0,
-    speed: float | None = None,
-    turn: float = 0.0,
-    manner: str | None = None,
-) -> None:
+    score: Score, *, seconds: float = 4.0, speed: float | None = None, turn: float = 0.0, manner: str | None = None,
+) -> None:  # fmt: skip
     """Walk for about ``seconds`` at ``speed`` m/s (drawn if None) while the heading changes by ``turn`` radians.
     manner: None, or one of MANNERS; people who step backwards or sideways keep to about half the speed."""
     speed = score.uniform(0.8, 1.6) if speed is None else speed

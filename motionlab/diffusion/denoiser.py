@@ -31,16 +31,9 @@ class Denoiser(nn.Module):
     ``SIZES``."""
 
     def __init__(
-        self,
-        features: int,
-        *,
-        size: int = 512,
-        layers: int = 8,
-        heads: int = 4,
-        hidden: int = 1024,
-        dropout: float = 0.1,
-        patch: int = 1,
-    ) -> None:
+        self, features: int, *, size: int = 512, layers: int = 8, heads: int = 4, hidden: int = 1024,
+        dropout: float = 0.1, patch: int = 1,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.features, self.patch = features, patch
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features * patch, size)})

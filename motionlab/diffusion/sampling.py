@@ -128,13 +128,9 @@ def _stamps(schedule: NoiseSchedule, t: int, x: Tensor) -> Tensor:
 
 @torch.no_grad()
 def ddpm(
-    denoise: DenoiseFunction,
-    schedule: NoiseSchedule,
-    x: Tensor,
-    generator: torch.Generator,
-    *,
+    denoise: DenoiseFunction, schedule: NoiseSchedule, x: Tensor, generator: torch.Generator, *,
     after: After | None = None,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; none in the last step."""
     for t in range(len(schedule) - 1, -1, -1):
         x0 = denoise(x, _stamps(schedule, t, x))

@@ -96,13 +96,9 @@ class Windows:
 
 
 def gather(
-    motions: Sequence[Motion],
-    length: int,
-    *,
-    mirrored: bool = True,
-    missing: Sequence[Sequence[str]] | None = None,
+    motions: Sequence[Motion], length: int, *, mirrored: bool = True, missing: Sequence[Sequence[str]] | None = None,
     people: Sequence[str] | None = None,
-) -> Windows:
+) -> Windows:  # fmt: skip
     """Cuts windows of ``length`` frames from motions at one frame rate, all with contacts or none; drops shorter ones.
 
     missing: for every motion the joints whose rotations were not recorded; None: none is missing. people: for every

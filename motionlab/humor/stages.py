@@ -143,15 +143,9 @@ def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> 
 
 
 def stage_3(
-    problem: Problem,
-    unknown: Unknowns,
-    factors: Tensor | None = None,
-    *,
-    steps: int,
-    short: int,
-    refine: tuple[int, int],
-    **budget,
-) -> tuple[Unknowns, list[BatchFit]]:
+    problem: Problem, unknown: Unknowns, factors: Tensor | None = None, *, steps: int, short: int,
+    refine: tuple[int, int], **budget,
+) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
     """Runs stage 3: the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
 
     factors: of ``start.start_stage_3``; without them the search is in the unknowns as they are.
@@ -183,18 +177,10 @@ def stage_3(
 
 
 def _search(
-    terms: Callable[[Problem, Unknowns], Terms],
-    problem: Problem,
-    start: Mapping[str, Tensor],
-    moving: tuple[str, ...],
-    back: Back = lambda new, rows: Unknowns(**new),
-    *,
-    steps: int,
-    inner: int,
-    tolerance: float = 0.0,
-    progress: bool | str = False,
-    watch: Callable[[Terms], None] | None = None,
-) -> tuple[Unknowns, BatchFit]:
+    terms: Callable[[Problem, Unknowns], Terms], problem: Problem, start: Mapping[str, Tensor], moving: tuple[str, ...],
+    back: Back = lambda new, rows: Unknowns(**new), *, steps: int, inner: int, tolerance: float = 0.0,
+    progress: bool | str = False, watch: Callable[[Terms], None] | None = None,
+) -> tuple[Unknowns, BatchFit]:  # fmt: skip
     """Lowers the sum of some terms by moving some of the numbers of ``start``, each recording for itself.
 
     A recording that is done costs nothing more.

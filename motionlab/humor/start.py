@@ -216,17 +216,9 @@ def seated(motion: Motion) -> Motion:
 
 
 def start_stage_3(
-    motion: Motion,
-    latent: Tensor,
-    shared: dict[str, Tensor],
-    confidence: Tensor,
-    priors: Priors,
-    starts: tuple[int, ...],
-    length: int,
-    mode: str = "lean",
-    weight: float = 1e-3,
-    damping: float = DAMPING_ROLLOUT,
-) -> tuple[Unknowns, Tensor | None]:
+    motion: Motion, latent: Tensor, shared: dict[str, Tensor], confidence: Tensor, priors: Priors,
+    starts: tuple[int, ...], length: int, mode: str = "lean", weight: float = 1e-3, damping: float = DAMPING_ROLLOUT,
+) -> tuple[Unknowns, Tensor | None]:  # fmt: skip
     """Computes the unknowns of stage 3 from stage 2's motion, in windows; in lean mode also factors of z.
 
     Factors (G, W, L - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u.

@@ -81,15 +81,9 @@ class DenoiserTraining(TrainingRun):
 
 
 def denoising_losses(
-    estimate: Tensor,
-    truth: Tensor,
-    layout: Layout,
-    normaliser: Normaliser,
-    offsets: Tensor,
-    *,
-    parts: Collection[str] = ("simple", "fk", "velocity", "contact"),
-    seen: Tensor | None = None,
-) -> dict[str, Tensor]:
+    estimate: Tensor, truth: Tensor, layout: Layout, normaliser: Normaliser, offsets: Tensor, *,
+    parts: Collection[str] = ("simple", "fk", "velocity", "contact"), seen: Tensor | None = None,
+) -> dict[str, Tensor]:  # fmt: skip
     """Computes the training losses by name, each a mean over windows and frames.
 
     simple: mean square of normalised numbers. velocity: of their change between frames, root and rotations only.

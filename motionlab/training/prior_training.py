@@ -111,15 +111,9 @@ class _PosePriorRun(TrainingRun):
 
 
 def train_pose_prior(
-    rot: Tensor,
-    generator: torch.Generator,
-    *,
-    steps: int = 4000,
-    batch: int = 256,
-    weight: Tensor | None = None,
-    seen: Tensor | None = None,
-    progress: bool = True,
-) -> tuple[PosePrior, list[tuple[int, float, float]]]:
+    rot: Tensor, generator: torch.Generator, *, steps: int = 4000, batch: int = 256, weight: Tensor | None = None,
+    seen: Tensor | None = None, progress: bool = True,
+) -> tuple[PosePrior, list[tuple[int, float, float]]]:  # fmt: skip
     """Trains a pose prior on poses (N, 21, 3, 3).
 
     weight (N,): how often each pose is drawn, relative to the others. seen (N, 21): False where a rotation was not
@@ -166,12 +160,8 @@ def samples(model: PosePrior, count: int, generator: torch.Generator) -> Tensor:
 
 
 def fit_mixture(
-    features: Tensor,
-    generator: torch.Generator,
-    *,
-    components: int = _COMPONENTS,
-    ridge: float = MIXTURE_RIDGE,
-) -> tuple[InitGmm, list[float]]:
+    features: Tensor, generator: torch.Generator, *, components: int = _COMPONENTS, ridge: float = MIXTURE_RIDGE,
+) -> tuple[InitGmm, list[float]]:  # fmt: skip
     """Fits a mixture to features (N, D) by expectation-maximisation, started from k-means++ and a few steps of k-means.
 
     Returns:

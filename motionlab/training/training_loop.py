@@ -67,14 +67,9 @@ class TrainingRun(ABC):
     warm_up, least = 100, 0.02
 
     def __init__(
-        self,
-        recipe: Any,
-        digest: str,
-        generator: torch.Generator,
-        model: nn.Module,
-        optimiser: torch.optim.Optimizer,
+        self, recipe: Any, digest: str, generator: torch.Generator, model: nn.Module, optimiser: torch.optim.Optimizer,
         **extra: Any,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.recipe, self.digest, self.generator, self.model = recipe, digest, generator, model
         self.average = {name: value.clone() for name, value in model.state_dict().items()}
         self.optimiser, self.extra = optimiser, extra
@@ -112,15 +107,9 @@ class TrainingRun(ABC):
         return self._made(self.best["weights"] if self.best else self.average)
 
     def run(
-        self,
-        *,
-        until: int | None = None,
-        keep: Path | None = None,
-        every: int = 500,
-        judge: Measure | None = None,
-        judge_every: int = 2500,
-        progress: bool = False,
-    ) -> Self:
+        self, *, until: int | None = None, keep: Path | None = None, every: int = 500, judge: Measure | None = None,
+        judge_every: int = 2500, progress: bool = False,
+    ) -> Self:  # fmt: skip
         """Trains on to the last step, or to ``until``; saves to ``keep`` every ``every`` steps and at the end.
 
         judge: measures of the averaged model, of which the first chooses ``best`` (less is better), every

@@ -74,15 +74,10 @@ class Plan:
 
 
 def solve(
-    problem: Problem,
-    unknown: Unknowns,
-    plan: Plan | None = None,
-    *,
-    second_start: Unknowns | None = None,
-    linearise: Callable[..., Whitening] = linearised,
-    note: Callable[[], None] = lambda: None,
+    problem: Problem, unknown: Unknowns, plan: Plan | None = None, *, second_start: Unknowns | None = None,
+    linearise: Callable[..., Whitening] = linearised, note: Callable[[], None] = lambda: None,
     progress: bool | str = False,
-) -> tuple[Unknowns, list[BatchFit]]:
+) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
     """Runs the feedback solver from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
     second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: where
@@ -160,15 +155,9 @@ def _lowest_rows(energy: Tensor, clips: int) -> Tensor:
 
 
 def _round(
-    problem: Problem,
-    unknown: Unknowns,
-    size: Tensor,
-    jumping: Tensor,
-    plan: Plan,
-    linearise: Callable[..., Whitening],
-    note: Callable[[], None],
-    progress: bool | str,
-) -> tuple[Unknowns, BatchFit, Tensor]:
+    problem: Problem, unknown: Unknowns, size: Tensor, jumping: Tensor, plan: Plan, linearise: Callable[..., Whitening],
+    note: Callable[[], None], progress: bool | str,
+) -> tuple[Unknowns, BatchFit, Tensor]:  # fmt: skip
     """One linearisation and the searches around it: from where a clip is, and from where it may jump to. size (B,): of
     each clip's energy. jumping: bool (B,), clips that may jump; returned anew."""
     clips = len(size)
@@ -199,19 +188,10 @@ def _round(
 
 
 def minimise_from(
-    problem: Problem,
-    unknown: Unknowns,
-    white: Whitening,
-    who: Tensor,
-    whitener: Tensor,
-    first: Tensor,
-    closures: int,
-    *,
-    nu: Tensor | None = None,
-    enough: float | Tensor = 0.0,
-    note: Callable[[], None] = lambda: None,
+    problem: Problem, unknown: Unknowns, white: Whitening, who: Tensor, whitener: Tensor, first: Tensor, closures: int,
+    *, nu: Tensor | None = None, enough: float | Tensor = 0.0, note: Callable[[], None] = lambda: None,
     progress: bool | str = False,
-) -> tuple[Unknowns, BatchFit]:
+) -> tuple[Unknowns, BatchFit]:  # fmt: skip
     """Minimises the energy from R starts around one linearisation; row r belongs to clip who[r] and starts at first (R,
     f), in coordinates of its own: shaper (R, f, f) in place of ``Whitening.first``.
 

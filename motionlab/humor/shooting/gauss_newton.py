@@ -105,16 +105,9 @@ def _own_joints(x: Tensor, size: int) -> Body:
 
 
 def residual_rows(
-    x: Tensor,
-    turn: Tensor,
-    shift: Tensor,
-    steps: Tensor,
-    betas: Tensor,
-    camera: Tensor | None,
-    touching: Tensor,
-    evidence: Evidence,
-    weights: dict[str, float],
-) -> Rows:
+    x: Tensor, turn: Tensor, shift: Tensor, steps: Tensor, betas: Tensor, camera: Tensor | None, touching: Tensor,
+    evidence: Evidence, weights: dict[str, float],
+) -> Rows:  # fmt: skip
     """Computes all rows of B clips of T frames.
 
     x (B, T, 339): states in their own frames, order of ``state``. turn (B, T, 3, 3), shift (B, T, 3): world to own,
