@@ -25,21 +25,12 @@ def walking_gait(score: Score, speed: float) -> tuple[float, float, Gait]:
     length = math.sqrt(60 * speed * ratio)
     brisk = speed / 1.3
     gait = Gait(
-        duty=min(0.60, 0.60 - 0.045 * speed),
-        width=s.step_width,
-        clearance=0.050 + 0.015 * brisk,
-        heel=0.95 + 0.20 * brisk,
-        toe=0.12 + 0.18 * brisk,
-        bob=0.017 * brisk**1.2 * s.bounce,
-        sway=0.020 / (0.6 + 0.4 * brisk),
-        yaw=0.10 * brisk * s.twist,
-        twist=0.13 * brisk * s.twist,
-        tilt=0.045 * brisk,
-        swing=0.42 * brisk * s.arm_swing,
-        elbow=0.28 * brisk * s.arm_swing,
-        drop=0.012 + 0.020 * brisk**2,
+        duty=min(0.60, 0.60 - 0.045 * speed), width=s.step_width, clearance=0.050 + 0.015 * brisk,
+        heel=0.95 + 0.20 * brisk, toe=0.12 + 0.18 * brisk, bob=0.017 * brisk**1.2 * s.bounce,
+        sway=0.020 / (0.6 + 0.4 * brisk), yaw=0.10 * brisk * s.twist, twist=0.13 * brisk * s.twist, tilt=0.045 * brisk,
+        swing=0.42 * brisk * s.arm_swing, elbow=0.28 * brisk * s.arm_swing, drop=0.012 + 0.020 * brisk**2,
         lean=s.lean + 0.03 * (brisk - 1),
-    )
+    )  # fmt: skip
     return length, length / speed, gait
 
 

@@ -13,19 +13,10 @@ from motionlab.skeleton import FEET
 
 #: What :func:`describe` measures, with its unit.
 DESCRIPTION_UNITS = {
-    "root speed": "m/s",
-    "turning rate": "deg/s",
-    "joint speed": "m/s",
-    "joint acceleration": "m/s^2",
-    "jitter": "m/s^3",
-    "quick motion": "% above 4 Hz",
-    "feet on the floor": "%",
-    "foot height": "m",
-    "knee flexion": "deg",
-    "elbow flexion": "deg",
-    "trunk lean": "deg",
-    "hand height": "m",
-}
+    "root speed": "m/s", "turning rate": "deg/s", "joint speed": "m/s", "joint acceleration": "m/s^2",
+    "jitter": "m/s^3", "quick motion": "% above 4 Hz", "feet on the floor": "%", "foot height": "m",
+    "knee flexion": "deg", "elbow flexion": "deg", "trunk lean": "deg", "hand height": "m",
+}  # fmt: skip
 
 
 def describe(motion: Motion) -> dict[str, Tensor]:
