@@ -1,4 +1,4 @@
-"""Fills gaps and smooths motions without a model, as baselines: hold, interpolate, filters.
+"""Fills gaps and smooths motions without a model, as baselines: interpolate, filters.
 
 Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single joints, True where the motion
 may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
@@ -73,14 +73,6 @@ def _take(x: Tensor, frames: Tensor) -> Tensor:
     rest = x.ndim - frames.ndim
     index = frames.reshape(*frames.shape, *(1,) * rest).expand(x.shape)
     return x.gather(frames.ndim - 2, index)
-
-
-def hold(motion: Motion, known: Tensor) -> Motion:
-    """Fills unknown rotations and root positions with the last known ones (the first known ones before those)."""
-    known = _mask(known, motion)
-    before, _, _ = between_known(known)
-    root = _take(motion.root[..., None, :], before[..., :1])[..., 0, :]
-    return replace(motion, root=root, rot=_take(motion.rot, before), contacts=None)
 
 
 def interpolate(motion: Motion, known: Tensor) -> Motion:

@@ -69,8 +69,8 @@ def contacts_from_positions(
     return _hysteresis(on, off).to(positions.dtype)
 
 
-def with_contacts(motion: Motion, **thresholds: tuple[float, float]) -> Motion:
-    """Labels a motion's contacts from its own joint positions; thresholds as :func:`contacts_from_positions`."""
+def with_contacts(motion: Motion) -> Motion:
+    """Labels a motion's contacts from its own joint positions, by :func:`contacts_from_positions`."""
     positions = motion.positions[..., motion.skeleton.contact_indices, :]
     resting = resting_heights(motion.skeleton).to(positions)
-    return replace(motion, contacts=contacts_from_positions(positions, motion.fps, resting, **thresholds))
+    return replace(motion, contacts=contacts_from_positions(positions, motion.fps, resting))

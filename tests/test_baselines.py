@@ -47,12 +47,9 @@ def test_interpolation_is_exact_at_constant_speed_and_keeps_the_known(generator,
     assert torch.equal(filled.rot[mask], motion.rot[mask])
 
 
-def test_hold_repeats_the_last_known_frame(generator):
+def test_ends_hold(generator):
     motion = swinging(generator, frames=6)
     known = torch.tensor([False, True, False, False, True, False])
-    filled = baselines.hold(scrambled(motion, known, generator), known)
-    expected = torch.tensor([1, 1, 1, 1, 4, 4])
-    assert torch.equal(filled.rot, motion.rot[expected]) and torch.equal(filled.root, motion.root[expected])
     ends = baselines.interpolate(scrambled(motion, known, generator), known)
     torch.testing.assert_close(ends.rot[[0, -1]], motion.rot[[1, 4]])
 
@@ -70,11 +67,10 @@ def test_nearest_known_frames_agree_with_a_loop(generator):
 
 def test_nothing_known_and_wrong_masks_are_refused(generator):
     motion = swinging(generator, frames=6)
-    for fill in (baselines.hold, baselines.interpolate):
-        with pytest.raises(ShapeError, match="no frame"):
-            fill(motion, torch.zeros(6))
-        with pytest.raises(ShapeError, match="expected"):
-            fill(motion, torch.ones(5))
+    with pytest.raises(ShapeError, match="no frame"):
+        baselines.interpolate(motion, torch.zeros(6))
+    with pytest.raises(ShapeError, match="expected"):
+        baselines.interpolate(motion, torch.ones(5))
 
 
 def test_a_mask_that_can_be_read_in_two_ways_is_refused(generator):
@@ -83,11 +79,13 @@ def test_a_mask_that_can_be_read_in_two_ways_is_refused(generator):
     known = torch.ones(22, 22, dtype=torch.bool)
     known[3, 5] = False
     with pytest.raises(ShapeError, match="all axes"):
-        baselines.hold(motion, known)
-    held = baselines.hold(motion, known[..., None].expand(22, 22, 22))
-    assert torch.equal(held.root[3, 5], motion.root[3, 4]) and torch.equal(held.root[4], motion.root[4])
-    single = motion.clip(0)
-    assert torch.equal(baselines.hold(single, known).rot[3, 5], single.rot[2, 5])
+        baselines.interpolate(motion, known)
+    lost = replace(motion, root=motion.root.clone(), rot=motion.rot.clone())
+    lost.root[3, 5], lost.rot[0, 3, 5] = 9.0, torch.eye(3)
+    filled = baselines.interpolate(lost, known[..., None].expand(22, 22, 22))
+    assert filled.root[3, 5].max() < 9 and torch.equal(filled.root[4], lost.root[4])
+    single, filled = lost.clip(0), baselines.interpolate(lost.clip(0), known)
+    assert not torch.equal(filled.rot[3, 5], single.rot[3, 5]) and torch.equal(filled.rot[3, 4], single.rot[3, 4])
 
 
 def test_savitzky_golay_keeps_its_polynomials(generator):

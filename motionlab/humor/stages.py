@@ -204,9 +204,7 @@ def _search(
             watch({n: x.detach() for n, x in found.items()})
         return sum(found.values())
 
-    fit = minimise_batch(
-        energy, point, rows=True, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress
-    )
+    fit = minimise_batch(energy, point, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress)
     return back({**{n: x.detach() for n, x in point.items()}, **fit.variables}, every).detached(), fit
 
 

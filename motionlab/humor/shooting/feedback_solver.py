@@ -213,7 +213,7 @@ def minimise_from(
     nu = torch.zeros_like(here.z[:, 0]) if nu is None else nu
     start = {"nu": nu.clone().requires_grad_(), "first": first.clone().requires_grad_()}
     how = {"steps": 1, "inner": closures, "max_closures": closures, "tolerance_change": enough}
-    fit = minimise_batch(energy, start, rows=True, unit=True, progress=progress, **how)
+    fit = minimise_batch(energy, start, unit=True, progress=progress, **how)
     with torch.no_grad():
         at, rolled = unwhiten(some, here, around, fit.variables)
     return replace(at, z=rolled.rollout.z[:, None]), fit
