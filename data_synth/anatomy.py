@@ -12,8 +12,6 @@ of knee position on ankle dorsiflexion", BMC Musculoskeletal Disorders 15:246, 2
 36 - 42: ours is 42).
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

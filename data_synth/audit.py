@@ -1,7 +1,5 @@
 """Is a motion what ground truth should be? Feet that stand, bodies above the floor, joints within reach, no pop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

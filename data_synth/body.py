@@ -1,7 +1,5 @@
 """Bodies with a known truth: a quick one of capsules, and one whose skinning weights have planted faults."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

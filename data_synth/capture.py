@@ -3,8 +3,6 @@
 Truth never reaches a fitter: :func:`observe` keeps what only a judge may see in ``Capture.truth``.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Short takes by the dozen, for experiments that need many people doing certain things."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

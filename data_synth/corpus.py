@@ -5,8 +5,6 @@ three sequences of the training subjects and one whole subject held out.
 Source: thesis section 4.1.2, "Data" (claim D05).
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

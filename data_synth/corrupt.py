@@ -9,8 +9,6 @@ Source: thesis 1 and 3.2.3 (two legs for one, joints flipping, confident but fal
 without predictions); HuMoR (Rempe et al. 2021, 5.2: keypoints below 0.9 m hidden).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ minimum-jerk submovements.
 Source: Flash & Hogan 1985 (minimum jerk); Flash & Henis 1991 (superposition).
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Two-bone inverse kinematics in closed form, and the foot that rolls over heel and ball."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Things that stand in the way, as meshes: a desk, a wall; and where to put a desk. Floor z = 0, metres, world."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

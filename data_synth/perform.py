@@ -1,7 +1,5 @@
 """From a score to a motion: evaluate the channels, solve the pose of every frame at once, and say what was planned."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise

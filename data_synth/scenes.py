@@ -9,8 +9,6 @@ Nobody in them is in the training corpus: the subject that it holds out, and peo
 Source: thesis 3.2 ("a variety of motion; fast, slow, abnormal, and with occlusions"), Figs. 3.2, 3.3 and 3.5.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Sequence

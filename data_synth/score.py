@@ -4,8 +4,6 @@ Actions write minimum-jerk moves into named channels; :func:`data_synth.perform.
 actions write into one score, there is no seam between them: every channel has continuous acceleration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Lines of sight: how far before a point a mesh is in the way, for many frames in one ray-casting scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

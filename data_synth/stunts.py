@@ -1,7 +1,5 @@
 """What nobody in the corpus does: motion for fits that must leave what a prior has learnt."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

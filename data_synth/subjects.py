@@ -1,7 +1,5 @@
 """Who moves: proportions per segment and a personal style."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import torch

@@ -4,8 +4,6 @@ Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single
 may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -4,8 +4,6 @@ A checkpoint is written whole or not at all, and says by a checksum in its recip
 it is executed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

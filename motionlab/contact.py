@@ -1,7 +1,5 @@
 """Contact labels: which joints touch the floor, from heights in metres and speeds in metres per second."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

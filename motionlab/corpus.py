@@ -10,8 +10,6 @@ is parsed again. A file that cannot be used is named and counted, or ends the ru
 Source: thesis 4.1.2, "Data": normalised, on a standard skeleton, sequences held out.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import os

@@ -11,8 +11,6 @@ and tries steepest descent once before it gives up. torch ignores pairs with a c
 unit, and so crawls where energies are small.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time

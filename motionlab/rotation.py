@@ -6,8 +6,6 @@ that in float32 their second derivatives are off by 2e-2 (exp at 1e-3 rad) and 2
 both are series in the squared angle where it is small, good to rounding in value and both derivatives.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

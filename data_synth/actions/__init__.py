@@ -5,8 +5,6 @@
 Every action begins and ends standing at ease, wherever and whichever way the body then faces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
 

@@ -1,7 +1,5 @@
 """Dance on a beat: step-touches, bounces, and arm accents that hit fast and hold."""
 
-from __future__ import annotations
-
 from data_synth.actions.gait import OTHER
 from data_synth.actions.standing import ease
 from data_synth.score import SIDES, SIGN, Score

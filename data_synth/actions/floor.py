@@ -1,7 +1,5 @@
 """Down to the floor: sit down on it, lie back, roll over and over or to the belly, sit up, stand up."""
 
-from __future__ import annotations
-
 import math
 
 from data_synth.actions.kneeling import from_belly, kneel_down, stand_up, to_belly

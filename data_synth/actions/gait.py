@@ -1,7 +1,5 @@
 """Footfalls and what the body does about them: the machinery of every walk, turn and run."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

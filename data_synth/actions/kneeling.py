@@ -1,7 +1,5 @@
 """Down to the belly over a knee, both knees and the hands, and up the same way."""
 
-from __future__ import annotations
-
 import math
 
 import torch

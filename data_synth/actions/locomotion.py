@@ -1,7 +1,5 @@
 """Getting about: walking, running, turning on the spot."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import accumulate

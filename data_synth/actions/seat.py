@@ -1,7 +1,5 @@
 """Down and up again with both feet on the floor: sit on a chair, crouch, jump."""
 
-from __future__ import annotations
-
 import math
 
 from data_synth.actions.standing import ease

@@ -1,7 +1,5 @@
 """What people do with their arms, and one leg, while they stand: idle, reach, wave, punch, kick."""
 
-from __future__ import annotations
-
 from data_synth.actions.gait import OTHER
 from data_synth.score import SIDES, SIGN, Score
 

@@ -6,8 +6,6 @@ rotations, then the root's place, then the contacts (``masks.units``). The root'
 Source: thesis 4.2.1. Differs: numbers instead of looking.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar

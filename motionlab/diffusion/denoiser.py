@@ -5,8 +5,6 @@ same weights, by name and shape.
 Differs, where asked: several frames in one token, which halves the work.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

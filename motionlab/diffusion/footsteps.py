@@ -7,8 +7,6 @@ anew along its own way (:func:`retime`), and one that goes from place to place g
 Numbers: of recordings of validation people, at 30 frames per second; lengths in legs where nothing else is said.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

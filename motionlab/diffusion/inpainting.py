@@ -7,8 +7,6 @@ Source: thesis 4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1})
 al. 2022, reconstruction guidance, with CondMDI's weight.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import torch

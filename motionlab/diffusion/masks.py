@@ -3,8 +3,6 @@
 Source: CondMDI (Cohan et al. 2024), random frames x random joints; the test cases of thesis 4.2.1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch

@@ -14,8 +14,6 @@ Salimans and Ho 2022 (angles); Song et al. 2021 (DDIM); He et al. 2016 (residual
 Differs: of a handle the network is told the place, where the thesis keeps what its state holds of it, a rotation.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Training windows of the denoiser: cut from motions at any frame, also mirrored."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -8,8 +8,6 @@ Differs: HuMoR uses 16 betas of SMPL, and vertices of its mesh for nose, eyes, e
 default body hang on one bone each, so that here they are points fixed to head, ankle and foot: no mesh is needed.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -6,8 +6,6 @@ before any arithmetic, so that inf and NaN there reach neither value nor gradien
 Source: HuMoR (Rempe et al. 2021), section 4, and its official code, whose values these are; thesis 3.1.2.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Protocol
 

@@ -11,8 +11,6 @@ official mixture by its means. What a transition adds stays the same.
 Source: the files of HuMoR (Rempe et al. 2021) and of VPoser (Pavlakos et al. 2019), versions 1.0 and 2.0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path

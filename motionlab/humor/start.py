@@ -18,8 +18,6 @@ Differs: the official code starts every 3-D clip at identity, and a video at one
 counted as zero where they were not detected). Unseen frames stay there; here they are interpolated.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

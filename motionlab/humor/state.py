@@ -14,8 +14,6 @@ not transposed, and ``trans`` is SMPL's translation, here the pelvis itself (``p
 heading is exact in two dimensions, where the official code takes acos of a guarded cosine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import accumulate, pairwise
 

@@ -1,7 +1,5 @@
 """Measures what windows of motion are like, in a few physical numbers, so that sets of them can be compared."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

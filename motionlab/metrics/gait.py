@@ -4,8 +4,6 @@ Positions are (..., T, F, 3) of the F foot joints, metres, world, z up. Where th
 result is NaN, never 0.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

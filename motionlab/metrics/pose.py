@@ -4,8 +4,6 @@ Positions are (..., T, J, 3) in metres, world. A measure averages over frames an
 Where there is nothing to average (no visible joint, too few frames for a difference) it is NaN, never 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -5,8 +5,6 @@ errors of open 6-D numbers and contacts. A diffusion model has to say means, so 
 (over 0.2 m, and over 3 cm a frame). Source: thesis 4.1.2, whose denoiser has the same parts.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 """What is trained without end, each by what, on what, and judged how: completers, the thesis's own denoiser and the
 transition prior; see ``train_more``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

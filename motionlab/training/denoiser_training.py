@@ -9,8 +9,6 @@ decay, clipped gradients; what ships is a moving average (MDM: chosen by FID, by
 the run's generator; gradients not finite are skipped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 

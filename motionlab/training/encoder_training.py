@@ -1,7 +1,5 @@
 """Trains the autoencoder in whose latent features generated motion is judged (``diffusion.encoder``)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ velocities among the features are fixed by others, so that 1e-6 asks the optimis
 millimetre per second.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

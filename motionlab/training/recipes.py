@@ -1,7 +1,5 @@
 """Trains and writes the small checkpoints that ship: pose prior, initial-state mixture and motion encoder."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path

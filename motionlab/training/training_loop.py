@@ -6,8 +6,6 @@ is made of the network. A run is saved whole or not at all, and read without exe
 Source: Polyak and Juditsky 1992, averaged weights, here with a moving average that warms up.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator

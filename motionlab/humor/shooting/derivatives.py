@@ -11,8 +11,6 @@ than inputs.
 Source: HuMoR (Rempe et al. 2021), the networks and ``roll_out``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

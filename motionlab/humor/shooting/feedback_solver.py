@@ -16,8 +16,6 @@ Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift ap
 are no unknowns of their own, and the search begins at a roll-out (``start.start_stage_3``).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -18,8 +18,6 @@ Source: HuMoR (Rempe et al. 2021), section 4 (the energies), derivatives by hand
 Rao, Wright and Rawlings 1998.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 
