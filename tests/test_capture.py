@@ -179,8 +179,6 @@ def test_wrong_use_is_named(body):
         capture.observe(replace(batch, root=batch.root[None], rot=batch.rot[None]), body, from_south(), seeded())
     with pytest.raises(ShapeError, match="no room"):
         occluders.desk_before(standing(), from_south(0.8))
-    with pytest.raises(ShapeError, match="one clip"):
-        occluders.person(replace(batch, root=batch.root[None], rot=batch.rot[None]), body)
     above = look_at(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([0.0, 1.0, 0.0]), focal=800.0, width=640, height=480)
     with pytest.raises(ShapeError, match="right above"):
         occluders.desk_before(standing(), above)
