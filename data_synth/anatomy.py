@@ -12,67 +12,25 @@ of knee position on ankle dorsiflexion", BMC Musculoskeletal Disorders 15:246, 2
 36 - 42: ours is 42).
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
+from motionlab import rotation
 from motionlab.skeleton import Skeleton
 
-
-@dataclass(frozen=True)
-class Range:
-    """An angle of a joint: from low to high, in degrees."""
-
-    joint: str
-    angle: str
-    low: float
-    high: float
-
-
-#: joint (left and right stand under one name), angle, degrees.
-LIMITS = tuple(
-    Range(*row)
-    for row in (
-        ("hip", "flexion", -32, 135),
-        ("hip", "abduction", -40, 60),
-        ("hip", "rotation", -55, 55),
-        ("knee", "flexion", -2, 155),
-        ("knee", "off hinge", 0, 1),
-        ("ankle", "dorsiflexion", -65, 42),
-        ("ankle", "inversion", -35, 40),
-        ("ankle", "rotation", -40, 40),
-        ("foot", "extension", -45, 80),
-        ("spine1", "flexion", -20, 35),
-        ("spine1", "bend", -20, 20),
-        ("spine1", "twist", -20, 20),
-        ("spine2", "flexion", -20, 35),
-        ("spine2", "bend", -20, 20),
-        ("spine2", "twist", -20, 20),
-        ("spine3", "flexion", -20, 35),
-        ("spine3", "bend", -20, 20),
-        ("spine3", "twist", -20, 20),
-        ("neck", "flexion", -35, 35),
-        ("neck", "bend", -25, 25),
-        ("neck", "twist", -40, 40),
-        ("head", "flexion", -35, 35),
-        ("head", "bend", -25, 25),
-        ("head", "twist", -40, 40),
-        ("collar", "elevation", -12, 45),
-        ("collar", "protraction", -20, 30),
-        ("shoulder", "extension", -180, 65),
-        ("shoulder", "adduction", -180, 60),
-        ("shoulder", "rotation", -100, 100),
-        ("elbow", "flexion", -2, 155),
-        ("elbow", "off hinge", 0, 1),
-        ("wrist", "pronation", -90, 90),
-        ("wrist", "flexion", -80, 80),
-    )
-)
-
-
+#: joint (left and right stand under one name) -> angle -> from low to high, degrees.
+LIMITS: dict[str, dict[str, tuple[float, float]]] = {
+    "hip": {"flexion": (-32, 135), "abduction": (-40, 60), "rotation": (-55, 55)},
+    "knee": {"flexion": (-2, 155), "off hinge": (0, 1)},
+    "ankle": {"dorsiflexion": (-65, 42), "inversion": (-35, 40), "rotation": (-40, 40)},
+    "foot": {"extension": (-45, 80)},
+    **{f"spine{k}": {"flexion": (-20, 35), "bend": (-20, 20), "twist": (-20, 20)} for k in (1, 2, 3)},
+    **{name: {"flexion": (-35, 35), "bend": (-25, 25), "twist": (-40, 40)} for name in ("neck", "head")},
+    "collar": {"elevation": (-12, 45), "protraction": (-20, 30)},
+    "shoulder": {"extension": (-180, 65), "adduction": (-180, 60), "rotation": (-100, 100)},
+    "elbow": {"flexion": (-2, 155), "off hinge": (0, 1)},
+    "wrist": {"pronation": (-90, 90), "flexion": (-80, 80)},
+}
 #: Thickness of the body around joints that may lie on the floor, metres.
 RADIUS = {
     "pelvis": 0.095, "left_hip": 0.085, "right_hip": 0.085, "spine1": 0.09, "spine2": 0.095, "spine3": 0.10,
@@ -99,33 +57,21 @@ def angles(skeleton: Skeleton, rot: Tensor) -> dict[tuple[str, str], Tensor]:
     """
     found = {}
     for joint in skeleton.names[1:]:
-        part = joint.removeprefix("left_").removeprefix("right_")
         sign = -1.0 if joint.startswith("right_") else 1.0
-        R = rot[..., skeleton.index(joint), :, :]
-        for angle, value in _OF[part](R, sign).items():
-            found[joint, angle] = torch.rad2deg(value)
+        measured = _angles(joint.rpartition("_")[2], rot[..., skeleton.index(joint), :, :], sign)
+        found |= {(joint, angle): torch.rad2deg(value) for angle, value in measured.items()}
     return found
 
 
 def excess(skeleton: Skeleton, rot: Tensor) -> dict[tuple[str, str], Tensor]:
     """Degrees (...) by which each angle lies outside its range; 0 inside."""
-    measured = angles(skeleton, rot)
-    beyond = {}
-    for limit in LIMITS:
-        for joint in (limit.joint, f"left_{limit.joint}", f"right_{limit.joint}"):
-            if (joint, limit.angle) in measured:
-                value = measured[joint, limit.angle]
-                beyond[joint, limit.angle] = torch.maximum(limit.low - value, value - limit.high).clamp(min=0)
+    measured, beyond = angles(skeleton, rot), {}
+    for part, ranges in LIMITS.items():
+        for angle, (low, high) in ranges.items():
+            for key in ((joint, angle) for joint in (part, f"left_{part}", f"right_{part}")):
+                if key in measured:
+                    beyond[key] = torch.maximum(low - measured[key], measured[key] - high).clamp(min=0)
     return beyond
-
-
-def _xyz(R: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Angles of R = Rx(a) Ry(b) Rz(c)."""
-    return (
-        torch.atan2(-R[..., 1, 2], R[..., 2, 2]),
-        torch.asin(R[..., 0, 2].clamp(-1, 1)),
-        torch.atan2(-R[..., 0, 1], R[..., 0, 0]),
-    )
 
 
 def _twist(R: Tensor, hanging: Tensor) -> Tensor:
@@ -137,67 +83,35 @@ def _twist(R: Tensor, hanging: Tensor) -> Tensor:
     down = torch.tensor([0.0, -1.0, 0.0], dtype=R.dtype)
     own = hanging.mT @ down
     way = (R @ own[:, None])[..., 0]
-    cross = torch.linalg.cross(down.expand_as(way), way, dim=-1)
+    skew = rotation.skew(torch.linalg.cross(down.expand_as(way), way, dim=-1))
     dot = (way @ down)[..., None, None]
-    zero = torch.zeros_like(cross[..., 0])
-    x, y, z = cross.unbind(-1)
-    skew = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).reshape(R.shape)
     swing = torch.eye(3, dtype=R.dtype) + skew + skew @ skew / (1 + dot).clamp(min=1e-6)
     rest = swing.mT @ R @ hanging.mT  # a rotation about -y
     return torch.atan2(rest[..., 0, 2], rest[..., 0, 0])
 
 
-def _hip(R: Tensor, sign: float) -> dict[str, Tensor]:
-    x, y, z = (-R[..., :, 1]).unbind(-1)
-    rotation = -sign * _twist(R, torch.eye(3, dtype=R.dtype))
-    return {"flexion": torch.atan2(z, -y), "abduction": torch.asin((sign * x).clamp(-1, 1)), "rotation": rotation}
-
-
-def _knee(R: Tensor, sign: float) -> dict[str, Tensor]:
-    off = R[..., 1:, 0].norm(dim=-1).clamp(max=1).asin()
-    return {"flexion": torch.atan2(R[..., 2, 1], R[..., 1, 1]), "off hinge": off}
-
-
-def _elbow(R: Tensor, sign: float) -> dict[str, Tensor]:
-    off = R[..., ::2, 1].norm(dim=-1).clamp(max=1).asin()
-    return {"flexion": -sign * torch.atan2(R[..., 0, 2], R[..., 0, 0]), "off hinge": off}
-
-
-def _ankle(R: Tensor, sign: float) -> dict[str, Tensor]:
-    a, b, c = _xyz(R)
-    return {"dorsiflexion": -a, "inversion": sign * c, "rotation": sign * b}
-
-
-def _toes(R: Tensor, sign: float) -> dict[str, Tensor]:
-    return {"extension": -_xyz(R)[0]}
-
-
-def _axial(R: Tensor, sign: float) -> dict[str, Tensor]:
-    a, b, c = _xyz(R)
-    return {"flexion": a, "bend": c, "twist": b}
-
-
-def _collar(R: Tensor, sign: float) -> dict[str, Tensor]:
-    x, y, z = (sign * R[..., :, 0]).unbind(-1)
-    return {"elevation": torch.asin(y.clamp(-1, 1)), "protraction": torch.atan2(z, sign * x)}
-
-
-def _shoulder(R: Tensor, sign: float) -> dict[str, Tensor]:
-    x, _, z = (sign * R[..., :, 0]).unbind(-1)
-    hanging = torch.tensor([[0.0, sign, 0.0], [-sign, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=R.dtype)
+def _angles(part: str, R: Tensor, sign: float) -> dict[str, Tensor]:
+    """Angles (...), radians, of the local rotations of a joint; sign: -1 on the right side."""
+    if part in ("hip", "collar", "shoulder"):  # by the direction of the bone
+        x, y, z = (-R[..., :, 1] if part == "hip" else sign * R[..., :, 0]).unbind(-1)
+        if part == "hip":
+            twist = -sign * _twist(R, torch.eye(3, dtype=R.dtype))
+            return {"flexion": torch.atan2(z, -y), "abduction": (sign * x).clamp(-1, 1).asin(), "rotation": twist}
+        if part == "collar":
+            return {"elevation": y.clamp(-1, 1).asin(), "protraction": torch.atan2(z, sign * x)}
+        hanging = torch.tensor([[0.0, sign, 0.0], [-sign, 0.0, 0.0], [0.0, 0.0, 1.0]], dtype=R.dtype)
+        extension, adduction = (way.clamp(-1, 1).asin() for way in (-z, -sign * x))
+        return {"extension": extension, "adduction": adduction, "rotation": sign * _twist(R, hanging)}
+    if part == "knee":
+        off = R[..., 1:, 0].norm(dim=-1).clamp(max=1).asin()
+        return {"flexion": torch.atan2(R[..., 2, 1], R[..., 1, 1]), "off hinge": off}
+    if part == "elbow":
+        off = R[..., ::2, 1].norm(dim=-1).clamp(max=1).asin()
+        return {"flexion": -sign * torch.atan2(R[..., 0, 2], R[..., 0, 0]), "off hinge": off}
+    a, b = torch.atan2(-R[..., 1, 2], R[..., 2, 2]), R[..., 0, 2].clamp(-1, 1).asin()  # R = Rx(a) Ry(b) Rz(c)
+    c = torch.atan2(-R[..., 0, 1], R[..., 0, 0])
     return {
-        "extension": torch.asin((-z).clamp(-1, 1)),
-        "adduction": torch.asin((-sign * x).clamp(-1, 1)),
-        "rotation": sign * _twist(R, hanging),
-    }
-
-
-def _wrist(R: Tensor, sign: float) -> dict[str, Tensor]:
-    a, _, c = _xyz(R)
-    return {"pronation": a, "flexion": c}
-
-
-_OF = {
-    "hip": _hip, "knee": _knee, "ankle": _ankle, "foot": _toes, "elbow": _elbow, "shoulder": _shoulder,
-    "collar": _collar, "wrist": _wrist, **dict.fromkeys(("spine1", "spine2", "spine3", "neck", "head"), _axial),
-}  # fmt: skip
+        "ankle": {"dorsiflexion": -a, "inversion": sign * c, "rotation": sign * b},
+        "foot": {"extension": -a},
+        "wrist": {"pronation": a, "flexion": c},
+    }.get(part, {"flexion": a, "bend": c, "twist": b})

@@ -1,7 +1,5 @@
 """Is a motion what ground truth should be? Feet that stand, bodies above the floor, joints within reach, no pop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -9,7 +7,7 @@ from torch import Tensor
 
 from data_synth.anatomy import RADIUS, excess, height_at_rest
 from data_synth.legs import HEEL
-from data_synth.truth import DOWN, LYING
+from data_synth.perform import DOWN, LYING
 from motionlab.motion import Motion
 
 #: Length of the toes in front of the ball joint, metres.
@@ -103,11 +101,8 @@ def penetration(motion: Motion) -> Tensor:
 
 
 def arm_depth(motion: Motion) -> Tensor:
-    """Metres (..., T) by which forearms and the lower halves of upper arms are inside the trunk.
-
-    Trunk: TRUNK metres around the strip FLANK to both sides of the line from pelvis to spine3. Arms: ARM metres
-    around nine points each.
-    """
+    """Metres (..., T) by which forearms and the lower halves of upper arms are inside the trunk. Trunk: TRUNK metres
+    around the strip FLANK to both sides of the line from pelvis to spine3. Arms: ARM metres around nine points each."""
     p, orientations = motion.world
     low, high = (p[..., motion.skeleton.index(name), :] for name in ("pelvis", "spine3"))
     along = high - low

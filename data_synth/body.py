@@ -1,11 +1,10 @@
 """Bodies with a known truth: a quick one of capsules, and one whose skinning weights have planted faults."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
@@ -53,10 +52,8 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
 
     Its weights are clean by construction: every vertex hangs on the joint whose flesh it is and on
     joints at most two bones away, no entry is below 0.02, none is long-range. The soles are flat.
-    Three betas: height (5 % each), girth (1 cm each), leg length (5 % each).
-
-    Args:
-        spacing: metres between samples of the implicit surface; 0.02 gives about 8,000 vertices.
+    Three betas: height (5 % each), girth (1 cm each), leg length (5 % each). spacing: metres between samples of the
+    implicit surface; 0.02 gives about 8,000 vertices.
     """
     import pyvista as pv  # takes a second or more to load
 
@@ -74,8 +71,8 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
     surface = surface.triangulate().clean().compute_normals(auto_orient_normals=True)
     vertices = torch.tensor(surface.points).float()
     normals = torch.tensor(surface.point_normals).float()
-    hip = STANDARD.index("left_hip")
-    legs = [_below_hip(points, rest[hip, 1]) for points in (vertices, rest)]
+    hip = rest[STANDARD.index("left_hip"), 1]
+    legs = [F.pad(0.05 * (points[:, 1:2] - hip).clamp(max=0), (1, 1)) for points in (vertices, rest)]
     return BodyModel(
         template=vertices,
         shape_directions=torch.stack((0.05 * vertices, 0.01 * normals, legs[0]), dim=-1),
@@ -89,18 +86,12 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
     )
 
 
-def planted(
-    body: BodyModel, generator: torch.Generator, share: float = 0.03, largest: float = 1e-2
-) -> tuple[BodyModel, Tensor]:
+def planted(body: BodyModel, generator: torch.Generator, share: float = 0.03) -> tuple[BodyModel, Tensor]:
     """The body with spurious long-range skinning weights like those that the thesis found in SMPL.
 
-    Entries that were zero get a weight below ``largest``, always on joints at least four steps along the
+    Entries that were zero get a weight below 0.01, always on joints at least four steps along the
     tree from every joint that the vertex truly hangs on; rows are renormalised. The nose is planted as
-    printed: 0.2 % shared by the right hip, left knee and right knee.
-
-    Args:
-        body: clean weights to start from.
-        share: planted entries as a share of all non-zero weights (the thesis: 3 %).
+    printed: 0.2 % shared by the right hip, left knee and right knee. share: of all non-zero weights.
 
     Returns:
         The body, and a mask (V, J), True where an entry was planted.
@@ -122,7 +113,7 @@ def planted(
         raise ShapeError(f"share {share}: needs {count} planted entries, this body has room for 0 to {len(places)}")
     chosen = places[torch.randperm(len(places), generator=generator)[:count]]
     mask[chosen[:, 0], chosen[:, 1]] = True
-    extra = largest * (0.02 + 0.93 * torch.rand(mask.shape, generator=generator, dtype=body.weights.dtype))
+    extra = 1e-2 * (0.02 + 0.93 * torch.rand(mask.shape, generator=generator, dtype=body.weights.dtype))
     extra[nose] = 0.002 / len(thesis)
     extra = torch.where(mask, extra, 0)
     weights = body.weights * (1 - extra.sum(1, keepdim=True)) + extra
@@ -143,12 +134,8 @@ def _flesh(rest: Tensor) -> tuple[list[int], Tensor, Tensor, Tensor]:
 
 
 def _mirrored(line: tuple) -> tuple:
-    def other(part):
-        if isinstance(part, str):
-            return part.replace("left_", "right_")
-        return (-part[0], *part[1:]) if isinstance(part, tuple) else part
-
-    return tuple(other(part) for part in line)
+    ends = [e.replace("left_", "right_") if isinstance(e, str) else (-e[0], *e[1:]) for e in line[:3]]
+    return (*ends, *line[3:])
 
 
 def _distance(points: Tensor, starts: Tensor, ends: Tensor, radii: Tensor) -> Tensor:
@@ -169,11 +156,6 @@ def _clean_weights(distance: Tensor, owners: list[int]) -> Tensor:
     weights = torch.softmax(-joint / _SOFT, dim=1).sub(0.05).clamp(min=0)
     weights = torch.where(weights < 0.02, 0, weights)
     return weights / weights.sum(1, keepdim=True)
-
-
-def _below_hip(points: Tensor, hip: Tensor) -> Tensor:
-    drop = 0.05 * (points[:, 1] - hip).clamp(max=0)
-    return torch.stack((torch.zeros_like(drop), drop, torch.zeros_like(drop)), dim=-1)
 
 
 def _keypoints(vertices: Tensor, rest: Tensor) -> dict[str, int]:

@@ -3,8 +3,6 @@
 Truth never reaches a fitter: :func:`observe` keeps what only a judge may see in ``Capture.truth``.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,10 +30,12 @@ JOINTS = {"neck": "neck", "mid_hip": "pelvis"} | {
 DIFFICULTY = {
     "nose": 0.026, "eye": 0.025, "ear": 0.035, "shoulder": 0.079, "elbow": 0.072, "wrist": 0.062, "hip": 0.107,
     "knee": 0.087, "ankle": 0.089, "big_toe": 0.068, "small_toe": 0.066, "heel": 0.066, "neck": 0.079,
+    "mid_hip": 0.107,
 }  # fmt: skip
 SIZE = 0.7  # metres: square root of the image area of a standing adult, COCO's measure of size
 SKILL = 0.25  # of an annotator's spread: so far does the detector miss a clear, resting keypoint
 SHUTTER = 0.5  # share of a frame's time that the shutter is open
+_IMAGE = (1280, 720)  # pixels of a drawn camera
 NEAR = 0.03  # metres at the person's depth: an error below this counts as a hit, and confidence is its probability
 
 
@@ -66,32 +66,25 @@ class Capture:
     truth: Truth
 
 
-def keypoints(motion: Motion, body: BodyModel, betas: Tensor | None = None) -> Tensor:
+def keypoints(motion: Motion, body: BodyModel) -> Tensor:
     """The 25 keypoints (..., T, 25, 3) in metres, world: joints by FK, nose to heels by skinning their vertices."""
     surface = [name for name in BODY_25 if name not in JOINTS]
     vertices = [body.keypoint_vertices[name] for name in surface]
-    skin = lbs(body, motion.skeleton, motion.root, motion.rot, betas, vertices)
+    skin = lbs(body, motion.skeleton, motion.root, motion.rot, vertices=vertices)
     joints = motion.positions[..., motion.skeleton.indices(list(JOINTS.values())), :]
     order = [*surface, *JOINTS]
     return torch.cat((skin, joints), dim=-2)[..., [order.index(name) for name in BODY_25], :]
 
 
 def observe(
-    motion: Motion,
-    body: BodyModel,
-    camera: Camera,
-    generator: torch.Generator,
-    occluders: Sequence[Occluder] = (),
-    *,
-    betas: Tensor | None = None,
-    noise: float = 1.0,
+    motion: Motion, body: BodyModel, camera: Camera, generator: torch.Generator, occluders: Sequence[Occluder] = (), *,
     correlation: float = 0.5,
-) -> Capture:
+) -> Capture:  # fmt: skip
     """What a detector sees of one clip.
 
     The error of each coordinate is Gaussian with
 
-        sigma^2 = (noise SKILL DIFFICULTY_k SIZE f/z e^(0.3 n) h)^2 + (SHUTTER v)^2 / 12 + 0.3^2
+        sigma^2 = (SKILL DIFFICULTY_k SIZE f/z e^(0.3 n) h)^2 + (SHUTTER v)^2 / 12 + 0.3^2
 
     in pixels: f/z pixels per metre at the person's depth, n ~ N(0, 1) per frame and keypoint (images
     differ), h = 1 + 2 (1 - clear), and 2.5 times that behind the person's own body, v pixels per frame
@@ -103,19 +96,14 @@ def observe(
     Undetected (confidence 0, pixel (0, 0)): out of the image, wholly covered by occluders, covered in part
     or by the own body and unlucky (it is found with probability ``clear`` and 0.7), or confidence < 0.05.
 
-    Args:
-        motion: one clip.
-        occluders: they block the view; a moving one needs a mesh per frame.
-        betas: (B,) shape of the body; bone lengths are always the motion's.
-        noise: 0 for perfect keypoints where they are detected (only the last two terms stay).
-        correlation: of the error from one frame to the next.
+    occluders: they block the view. correlation: of the error from one frame to the next.
 
     Raises:
-        ShapeError: batch axes, or a moving occluder with other frames.
+        ShapeError: batch axes.
     """
     if motion.root.ndim != 2:
         raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
-    points = keypoints(motion, body, betas)
+    points = keypoints(motion, body)
     pixels, depth = project(camera, points)
     size = pixels.new_tensor([camera.width, camera.height])
     inside = (depth > 0.05) & ((pixels >= 0) & (pixels < size)).all(-1)
@@ -123,13 +111,13 @@ def observe(
     scale = focal / depth.mean(-1, keepdim=True).clamp(min=0.1)  # (T, 1) pixels per metre
 
     clear, centre_free = _clear(points, camera, occluders)
-    self_hidden = _self_hidden(motion, body, betas, points, camera)
+    self_hidden = _self_hidden(motion, body, points, camera)
 
-    hard = points.new_tensor([DIFFICULTY[_part(name)] for name in BODY_25])
+    hard = points.new_tensor([DIFFICULTY[name.removeprefix("left_").removeprefix("right_")] for name in BODY_25])
     hindrance = (1 + 2 * (1 - clear)) * torch.where(self_hidden, 2.5, 1.0)
     luck = (0.3 * torch.randn(clear.shape, generator=generator)).exp()
     blur = SHUTTER * velocity(pixels, 1.0, dim=0).norm(dim=-1)
-    spread = noise * SKILL * SIZE * hard * scale * hindrance * luck
+    spread = SKILL * SIZE * hard * scale * hindrance * luck
     sigma = (spread**2 + blur**2 / 12 + 0.3**2).sqrt()
     near = NEAR * scale
     confidence = 1 - torch.exp(-(near**2) / (2 * sigma**2))
@@ -145,35 +133,29 @@ def observe(
 
 
 def frame_motion(
-    motion: Motion,
-    generator: torch.Generator,
-    *,
-    width: int = 1280,
-    height: int = 720,
-    azimuth: tuple[float, float] = (0.0, 360.0),
-    view: tuple[float, float] = (35.0, 60.0),
+    motion: Motion, generator: torch.Generator, *, azimuth: tuple[float, float] = (0.0, 360.0),
     stand: tuple[float, float] = (0.8, 2.2),
-    margin: float = 0.25,
-) -> Camera:
+) -> Camera:  # fmt: skip
     """A plausible camera that keeps the person in view for the whole motion, from a random side.
 
     Drawn: the direction in which it stands, from ``azimuth`` degrees about the world's z from +x; its height
-    from ``stand`` metres; its horizontal angle of view from ``view`` degrees. It looks at the middle of the
-    motion from as near as keeps ``margin`` metres around every joint in the image.
+    from ``stand`` metres; its horizontal angle of view from 35 to 60 degrees. It looks at the middle of the
+    motion from as near as keeps 25 cm around every joint in the image.
 
     Raises:
         NotConverged: no distance up to 200 m shows the whole motion.
     """
     drawn = torch.rand(3, generator=generator, dtype=torch.float64).tolist()
     side, eye_height, angle = (
-        low + u * (high - low) for u, (low, high) in zip(drawn, (azimuth, stand, view), strict=True)
+        low + u * (high - low) for u, (low, high) in zip(drawn, (azimuth, stand, (35.0, 60.0)), strict=True)
     )
+    width, height = _IMAGE
     focal = width / 2 / math.tan(math.radians(angle) / 2)
     joints = motion.positions.reshape(-1, 3)
     low, high = joints.amin(0), joints.amax(0)
     target = (low + high) / 2
     toward = torch.tensor([math.cos(math.radians(side)), math.sin(math.radians(side)), 0.0]).to(joints)
-    corners = margin * torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]).to(joints)
+    corners = 0.25 * torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]).to(joints)
     cloud = (joints[:, None] + corners).reshape(-1, 3)
     for distance in torch.logspace(0.0, 2.3, 120).tolist():
         eye = target + distance * toward
@@ -183,10 +165,6 @@ def frame_motion(
         if (depth > 0.3).all() and ((pixels > 0) & (pixels < pixels.new_tensor([width, height]))).all():
             return camera
     raise NotConverged("no distance up to 200 m shows the whole motion")
-
-
-def _part(name: str) -> str:
-    return {"mid_hip": "hip"}.get(name, name.removeprefix("left_").removeprefix("right_"))
 
 
 def _clear(points: Tensor, camera: Camera, occluders: Sequence[Occluder]) -> tuple[Tensor, Tensor]:
@@ -199,15 +177,12 @@ def _clear(points: Tensor, camera: Camera, occluders: Sequence[Occluder]) -> tup
     probes = points[:, :, None] + torch.cat((torch.zeros(1, 3).to(points), ring))  # (T, 25, 9, 3)
     free = torch.ones(probes.shape[:-1], dtype=torch.bool)
     for occluder in occluders:
-        if occluder.moves and len(occluder.vertices) != len(points):
-            raise ShapeError(f"{occluder.name}: {len(occluder.vertices)} frames, the motion has {len(points)}")
-        targets = probes.flatten(1, 2) if occluder.moves else probes.reshape(1, -1, 3)
-        gap, _ = gap_to(occluder.vertices, occluder.faces, camera.centre.to(points), targets)
+        gap, _ = gap_to(occluder.vertices, occluder.faces, camera.centre.to(points), probes.reshape(1, -1, 3))
         free &= (gap <= 0).reshape(free.shape)
     return free.float().mean(-1).to(points), free[..., 0]
 
 
-def _self_hidden(motion: Motion, body: BodyModel, betas: Tensor | None, points: Tensor, camera: Camera) -> Tensor:
+def _self_hidden(motion: Motion, body: BodyModel, points: Tensor, camera: Camera) -> Tensor:
     """Whether (T, 25) the person's own body covers a keypoint.
 
     A joint lies inside the flesh. It is covered when the sight line enters the body more than 5 cm before
@@ -215,7 +190,7 @@ def _self_hidden(motion: Motion, body: BodyModel, betas: Tensor | None, points: 
     the skin may lie 2 cm behind the entry.
     """
     hull: Shell = shell(body)
-    vertices = lbs(body, motion.skeleton, motion.root, motion.rot, betas, hull.vertices)
+    vertices = lbs(body, motion.skeleton, motion.root, motion.rot, vertices=hull.vertices)
     gap, face = gap_to(vertices, hull.faces, camera.centre.to(points), points)
     is_joint = torch.tensor([name in JOINTS for name in BODY_25])
     joint = torch.tensor([motion.skeleton.index(JOINTS.get(name, "pelvis")) for name in BODY_25])

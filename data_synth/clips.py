@@ -1,7 +1,5 @@
 """Short takes by the dozen, for experiments that need many people doing certain things."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch
@@ -12,14 +10,9 @@ from data_synth.subjects import SUBJECTS, Subject
 
 
 def draw(
-    count: int,
-    generator: torch.Generator,
-    *,
-    actions: Sequence[str] = tuple(ACTIONS),
-    subjects: Sequence[Subject] = SUBJECTS,
-    fps: float = 30.0,
-    **options: object,
-) -> list[Take]:
+    count: int, generator: torch.Generator, *, actions: Sequence[str] = tuple(ACTIONS),
+    subjects: Sequence[Subject] = SUBJECTS, fps: float = 30.0, **options: object,
+) -> list[Take]:  # fmt: skip
     """``count`` takes: the actions in turn, each by the next person, each with draws of its own.
 
     options go to every action and must fit each of them.

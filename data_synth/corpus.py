@@ -5,10 +5,7 @@ three sequences of the training subjects and one whole subject held out.
 Source: thesis section 4.1.2, "Data" (claim D05).
 """
 
-from __future__ import annotations
-
 import hashlib
-import inspect
 import json
 import math
 import os
@@ -16,18 +13,17 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save as serialised
 from tqdm.auto import tqdm
 
-from data_synth import anatomy, curves, legs, perform, score, subjects, truth
+from data_synth import perform
 from data_synth.actions import WRITERS, locomotion
 from data_synth.perform import Take
 from data_synth.score import Score
 from data_synth.subjects import SUBJECTS, Subject
+from motionlab import checkpoint
 from motionlab.errors import ShapeError
-from motionlab.files import write_whole
-from motionlab.motion import fix_root_horizontally
+from motionlab.files import source_hash
+from motionlab.motion import Motion, fix_root_horizontally
 
 #: How often each action is chosen, relative to the others.
 MIX = {
@@ -35,7 +31,8 @@ MIX = {
     "sit": 1.0, "crouch": 1.1, "jump": 1.3, "dance": 1.7, "floor": 0.5,
 }  # fmt: skip
 MANNERS = (None,) * 7 + locomotion.MANNERS
-_SOURCES = (anatomy, curves, legs, perform, score, subjects, truth)
+_SOURCES = ("anatomy", "corpus", "curves", "legs", "perform", "score", "subjects")
+_ARRAYS = ("root", "rot", "contacts", "phase")  # of a sequence, as it is kept
 
 
 @dataclass(frozen=True)
@@ -101,26 +98,6 @@ class Corpus:
         """Everything of the subject that was never seen."""
         return self._of("held-out subject")
 
-    def statistics(self) -> list[dict[str, object]]:
-        """A row per split: sequences, subjects, minutes, mean speed of the pelvis (m/s), share of each action."""
-        rows = []
-        for split in ("train", "held-out sequence", "held-out subject"):
-            part = self._of(split)
-            if not part:
-                continue
-            labels = [label for s in part for label in s.take.labels]
-            speed = [s.motion.root[:, :2].diff(dim=0).norm(dim=-1) * s.motion.fps for s in part]
-            rows.append({
-                "split": split,
-                "sequences": len(part),
-                "subjects": len({s.take.subject.name for s in part}),
-                "minutes": sum(s.motion.seconds for s in part) / 60,
-                "fps": self.recipe.fps,
-                "speed": float(torch.cat(speed).mean()),
-                "actions": {name: labels.count(name) / len(labels) for name in sorted(set(labels))},
-            })  # fmt: skip
-        return rows
-
 
 def build(seed: int = 0, version: str = "B", *, recipe: Recipe | None = None, progress: bool = True) -> Corpus:
     """The corpus of a recipe, from the cache if it is there and whole, else made (and cached).
@@ -135,13 +112,13 @@ def build(seed: int = 0, version: str = "B", *, recipe: Recipe | None = None, pr
     if recipe.version not in ("A", "B"):
         raise ShapeError(f'version: expected "A" or "B", got {recipe.version!r}')
     path = cache_path(recipe)
-    takes = _load(path, recipe)
+    takes = _kept(path, recipe)
     if takes is None:
         takes = [
             perform_sequence(recipe, k)
             for k in tqdm(range(recipe.sequences), desc="synthetic corpus", unit="sequence", disable=not progress)
         ]
-        _save(path, takes)
+        _keep(path, takes)
     if recipe.version == "A":
         takes = [replace(take, motion=fix_root_horizontally(take.motion)) for take in takes]
     sequences = tuple(Sequence(f"{k:02d}_{take.subject.name}", take, _split(recipe, k)) for k, take in enumerate(takes))
@@ -152,7 +129,6 @@ def perform_sequence(recipe: Recipe, index: int) -> Take:
     """One sequence: actions in random order without a seam, kept inside the room; cut to the asked length."""
     generator = torch.Generator().manual_seed(1_000_003 * recipe.seed + index)
     part = Score(recipe.subject(index), generator)
-    part.initial["heading"] = part.value["heading"]
     names, weights = list(MIX), torch.tensor(list(MIX.values()))
     previous = ""
     while part.now < recipe.seconds + 0.1:
@@ -212,55 +188,31 @@ def _split(recipe: Recipe, index: int) -> str:
 
 def cache_path(recipe: Recipe) -> Path:
     """Where the sequences of a recipe are cached; both versions share them. Changes with the code that makes them."""
-    folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
-    code = "".join(inspect.getsource(module) for module in _SOURCES) + inspect.getsource(perform_sequence)
-    code += "".join(path.read_text() for path in sorted((Path(__file__).parent / "actions").glob("*.py")))
-    what = {
-        **asdict(recipe),
-        "version": "",
-        "heldout": (),
-        "mix": MIX,
-        "code": code,
-        "roam": inspect.getsource(_roam) + inspect.getsource(_arc_stays),
-    }
-    digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]
-    return Path(folder) / f"corpus-{digest}.safetensors"
+    folder, here = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab", Path(__file__).parent
+    files = [*(here / f"{name}.py" for name in _SOURCES), *sorted((here / "actions").glob("*.py"))]
+    code = [source_hash(path.read_text(encoding="utf-8")) for path in files]
+    what = asdict(recipe) | {"version": "", "heldout": (), "code": code}
+    return (
+        Path(folder)
+        / f"corpus-{hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]}.safetensors"
+    )
 
 
-def _save(path: Path, takes: list[Take]) -> None:
-    tensors, labels = {}, []
+def _keep(path: Path, takes: list[Take]) -> None:
+    tensors = {}
     for k, take in enumerate(takes):
-        motion = take.motion
-        arrays = {"root": motion.root, "rot": motion.rot, "contacts": motion.contacts, "phase": take.phase}
-        tensors |= {f"{k}.{name}": value.contiguous().clone() for name, value in arrays.items()}
-        labels.append(take.labels)
+        arrays = (*(getattr(take.motion, name) for name in _ARRAYS[:-1]), take.phase)
+        tensors |= {f"{k}.{name}": value for name, value in zip(_ARRAYS, arrays, strict=True)}
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, serialised(tensors, {"labels": json.dumps(labels), "check": _checksum(tensors)}))
+    checkpoint.keep(path, tensors, [take.labels for take in takes])
 
 
-def _checksum(tensors: dict[str, torch.Tensor]) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(tensors):
-        digest.update(name.encode() + tensors[name].contiguous().numpy().tobytes())
-    return digest.hexdigest()
-
-
-def _load(path: Path, recipe: Recipe) -> list[Take] | None:
-    if not path.exists():
-        return None
-    try:
-        with safe_open(path, "pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}
-            labels, check = json.loads(file.metadata()["labels"]), file.metadata()["check"]
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError):
-        return None
-    if check != _checksum(tensors):
+def _kept(path: Path, recipe: Recipe) -> list[Take] | None:
+    if (found := checkpoint.kept(path)) is None:
         return None
     takes = []
-    for k in range(recipe.sequences):
-        who = recipe.subject(k)
-        names = ("root", "rot", "contacts", "phase")
-        root, rot, contacts, phase = (tensors[f"{k}.{name}"] for name in names)
-        motion = perform.Motion(who.skeleton, root, rot, recipe.fps, contacts, f"{k:02d}_{who.name}")
-        takes.append(Take(motion, tuple(labels[k]), phase, who))
+    for k, labels in enumerate(found[1]):
+        who, (root, rot, contacts, phase) = recipe.subject(k), (found[0][f"{k}.{name}"] for name in _ARRAYS)
+        motion = Motion(who.skeleton, root, rot, recipe.fps, contacts, f"{k:02d}_{who.name}")
+        takes.append(Take(motion, tuple(labels), phase, who))
     return takes

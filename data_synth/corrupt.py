@@ -6,16 +6,15 @@ that becomes undetected gets confidence 0 and, as OpenPose writes it, pixel (0, 
 one run lasts. Failures compose: feed the value of one to the next.
 
 Source: thesis 1 and 3.2.3 (two legs for one, joints flipping, confident but false predictions, a frame
-without predictions); HuMoR (Rempe et al. 2021, 5.2: keypoints below 0.9 m hidden, joints with N(0, 4 cm)).
+without predictions); HuMoR (Rempe et al. 2021, 5.2: keypoints below 0.9 m hidden).
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from motionlab.errors import ShapeError, check_shape
 from motionlab.observation import Observation2D
@@ -23,15 +22,6 @@ from motionlab.observation import Observation2D
 #: The keypoints of a leg below the hip, without their side.
 LEG = ("knee", "ankle", "big_toe", "small_toe", "heel")
 SIDES = ("left", "right")
-
-
-def occlude(
-    observation: Observation2D, keypoints: Iterable[str], start: int | None = None, stop: int | None = None
-) -> tuple[Observation2D, Tensor]:
-    """Hide the named keypoints in frames start:stop."""
-    mask = torch.zeros_like(observation.visible)
-    mask[..., start:stop, [observation.index(name) for name in keypoints]] = True
-    return _hide(observation, mask)
 
 
 def occlude_below(observation: Observation2D, points: Tensor, height: float = 0.9) -> tuple[Observation2D, Tensor]:
@@ -60,13 +50,13 @@ def flip_limbs(
 
 
 def two_legs_from_one(
-    observation: Observation2D, generator: torch.Generator, lead: int = 10, spread: float = 0.1
+    observation: Observation2D, generator: torch.Generator, lead: int = 10
 ) -> tuple[Observation2D, Tensor]:
     """A hidden leg is predicted on the visible one, with its confidence: the failure of Fig. 3.3.
 
     It strikes wherever one leg is seen (knee and ankle) and the other is not, and in the ``lead`` frames
     before a leg vanishes. Where both legs vanish together a coin per clip chooses which becomes the copy.
-    The copy keeps a steady offset of about ``spread`` shank lengths and trembles by a third of that;
+    The copy keeps a steady offset of about a tenth of a shank's length and trembles by a third of that;
     its confidence is the visible leg's times a number from 0.8 to 1.
 
     Source: thesis 3.2.3, Fig. 3.3.
@@ -75,7 +65,7 @@ def two_legs_from_one(
     legs = [[observation.index(f"{side}_{part}") for part in parts] for side in SIDES]
     shin = [parts.index("knee"), parts.index("ankle")]
     seen = [observation.visible[..., [leg[i] for i in shin]].all(-1) for leg in legs]
-    copied = [seen[1 - s] & (~seen[s] | _before(_vanishes(seen[s]), lead)) for s in (0, 1)]
+    copied = [seen[1 - s] & (~seen[s] | _before_it_vanishes(seen[s], lead)) for s in (0, 1)]
     coin = torch.rand(*seen[0].shape[:-1], 1, generator=generator) < 0.5
     copied = [copied[0] & ~(copied[1] & coin), copied[1] & ~(copied[0] & ~coin)]
 
@@ -86,7 +76,7 @@ def two_legs_from_one(
         shank = (source[..., shin[0], :] - source[..., shin[1], :]).norm(dim=-1)[..., None, None]
         steady = torch.randn(*source.shape[:-3], 1, 1, 2, generator=generator)
         tremble = torch.randn(source.shape, generator=generator) / 3
-        keypoints[..., legs[s], :] = source + spread * shank * (steady + tremble)
+        keypoints[..., legs[s], :] = source + 0.1 * shank * (steady + tremble)
         trust = 0.8 + 0.2 * torch.rand(source.shape[:-1], generator=generator)
         confidence[..., legs[s]] = observation.confidence[..., legs[1 - s]] * trust
         mask[..., legs[s]] = copied[s][..., None] & observation.visible[..., legs[1 - s]]
@@ -94,25 +84,16 @@ def two_legs_from_one(
 
 
 def false_detections(
-    observation: Observation2D,
-    generator: torch.Generator,
-    share: float = 0.05,
-    length: int = 5,
-    other: Observation2D | None = None,
+    observation: Observation2D, generator: torch.Generator, share: float = 0.05, length: int = 5
 ) -> tuple[Observation2D, Tensor]:
-    """Confident but wrong: keypoints sit on the background, or on another person, for runs of frames.
+    """Confident but wrong: keypoints sit on the background, for runs of frames.
 
-    On the background each keypoint draws one place in the image per clip, trembles there by a pixel, and
-    has confidence 0.6 to 0.95. With ``other`` it is that person's keypoint, where it was detected.
+    Each keypoint draws one place in the image per clip, trembles there by a pixel, and has confidence 0.6 to 0.95.
 
     Raises:
-        ShapeError: ``other`` has other keypoints or frames, or without it the image size is not known.
+        ShapeError: the image size is not known.
     """
     mask = _runs(observation.confidence.transpose(-1, -2).shape, share, length, generator).transpose(-1, -2)
-    if other is not None:
-        if other.names != observation.names or other.keypoints.shape != observation.keypoints.shape:
-            raise ShapeError(f"other: expected {tuple(observation.keypoints.shape)} of the same keypoints")
-        return _put(observation, other.keypoints, other.confidence, mask & other.visible)
     if observation.camera is None:
         raise ShapeError("false detections on the background need the image size: an observation with a camera")
     size = torch.tensor([observation.camera.width, observation.camera.height])
@@ -121,19 +102,6 @@ def false_detections(
     keypoints = place + torch.randn(shape, generator=generator)
     confidence = 0.6 + 0.35 * torch.rand(shape[:-1], generator=generator)
     return _put(observation, keypoints, confidence, mask)
-
-
-def jitter(observation: Observation2D, generator: torch.Generator, sigma: float = 3.0) -> tuple[Observation2D, Tensor]:
-    """White noise of ``sigma`` pixels, independent per frame, on every detected keypoint."""
-    noise = sigma * torch.randn(observation.keypoints.shape, generator=generator)
-    return _put(observation, observation.keypoints + noise, observation.confidence, observation.visible)
-
-
-def noisy_joints(positions: Tensor, generator: torch.Generator, sigma: float = 0.04) -> tuple[Tensor, Tensor]:
-    """3-D positions (..., T, J, 3) with N(0, sigma) metres on every coordinate; the mask (..., T, J) is all True."""
-    check_shape(positions, "... T J 3", "positions")
-    noise = sigma * torch.randn(positions.shape, generator=generator, dtype=positions.dtype)
-    return positions + noise, torch.ones(positions.shape[:-1], dtype=torch.bool)
 
 
 def _put(
@@ -153,23 +121,14 @@ def _hide(observation: Observation2D, mask: Tensor) -> tuple[Observation2D, Tens
 
 
 def _runs(shape: Sequence[int], share: float, length: int, generator: torch.Generator) -> Tensor:
-    """Mask of runs along the last axis; each frame is covered with probability ``share``.
-
-    A frame is free when none of ``length`` possible starts fires: (1 - p)^length = 1 - share.
-    """
+    """Mask of runs along the last axis; each frame is covered with probability ``share``. A frame is free when none of
+    ``length`` possible starts fires: (1 - p)^length = 1 - share."""
     p = 1 - (1 - share) ** (1 / length)
     starts = torch.rand(*shape[:-1], shape[-1] + length - 1, generator=generator) < p
     return starts.unfold(-1, length, 1).any(-1)
 
 
-def _vanishes(seen: Tensor) -> Tensor:
-    """Frames (..., T) in which something is seen that is not seen in the next one."""
-    return torch.cat((seen[..., :-1] & ~seen[..., 1:], torch.zeros_like(seen[..., :1])), dim=-1)
-
-
-def _before(event: Tensor, lead: int) -> Tensor:
-    """The ``lead`` frames (..., T) that end with an event."""
-    if lead == 0:
-        return torch.zeros_like(event)
-    padded = torch.nn.functional.pad(event, (0, lead - 1))
-    return padded.unfold(-1, lead, 1).any(-1)
+def _before_it_vanishes(seen: Tensor, lead: int) -> Tensor:
+    """The ``lead`` frames (..., T) that end with one in which something is seen that is not seen in the next one."""
+    event = torch.cat((seen[..., :-1] & ~seen[..., 1:], torch.zeros_like(seen[..., :1])), dim=-1)
+    return F.pad(event, (0, lead - 1)).unfold(-1, lead, 1).any(-1) if lead else torch.zeros_like(event)

@@ -6,8 +6,6 @@ minimum-jerk submovements.
 Source: Flash & Hogan 1985 (minimum jerk); Flash & Henis 1991 (superposition).
 """
 
-from __future__ import annotations
-
 import math
 
 import torch
@@ -48,14 +46,11 @@ def evaluate(initial: Tensor, channel: Tensor, start: Tensor, duration: Tensor, 
     return total.index_put_((channel[piece], frame), (pieces[piece] * powers).sum(-1), accumulate=True)
 
 
-def noise(t: Tensor, count: int, generator: torch.Generator, *, low: float = 0.1, high: float = 1.5) -> Tensor:
-    """Smooth random curves (count, T) of unit variance, band-limited to [low, high] hertz.
-
-    A sum of eight sinusoids whose amplitude falls as 1/f: defined in continuous time, so another frame rate
-    samples the same curve.
-    """
+def noise(t: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Smooth random curves (count, T) of unit variance, band-limited to 0.1 to 1.5 hertz. A sum of eight sinusoids
+    whose amplitude falls as 1/f: defined in continuous time, so another frame rate samples the same curve."""
     draw = torch.rand(2, count, 8, generator=generator, dtype=torch.float64)
-    frequency = low * (high / low) ** draw[0]
+    frequency = 0.1 * (1.5 / 0.1) ** draw[0]
     amplitude = 1 / frequency
     amplitude = amplitude / (amplitude.square().sum(-1, keepdim=True) / 2).sqrt()
     angle = 2 * math.pi * (frequency[..., None] * t + draw[1, ..., None])
@@ -71,9 +66,7 @@ def soft_clip(x: Tensor, low: float | Tensor, high: float | Tensor, margin: floa
 
 def soft_min(values: Tensor, sharpness: float | Tensor) -> Tensor:
     """Smooth minimum over the last axis (n): never above the true one, at most ``sharpness * log(n)`` below it.
-
-    sharpness: a number, or one for each minimum (...).
-    """
+    sharpness: a number, or one for each minimum (...)."""
     sharpness = torch.as_tensor(sharpness, dtype=values.dtype)
     return -sharpness * torch.logsumexp(-values / sharpness[..., None], -1)
 

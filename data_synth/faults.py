@@ -1,7 +1,5 @@
 """Ground truth spoiled on purpose: what an audit must notice."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -1,7 +1,5 @@
 """Two-bone inverse kinematics in closed form, and the foot that rolls over heel and ball."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
@@ -25,11 +23,8 @@ def two_bone(
 
     The limb lies in the plane through start and target across ``hinge``; the middle joint lies towards
     u x hinge, u the direction to the target: forward for a leg whose hinge points left. A target beyond
-    99.8 % of the limb's length is approached smoothly, and one nearer than the most bent limb likewise.
-
-    Args:
-        start, target, hinge: (..., 3); hinge need not be unit nor orthogonal.
-        upper, lower: bone lengths, metres.
+    99.8 % of the limb's length is approached smoothly, and one nearer than the most bent limb likewise. The hinge
+    (..., 3) need not be unit nor orthogonal.
 
     Returns:
         directions of the upper and of the lower bone (..., 3), unit hinge (..., 3), flexion (...) in radians.

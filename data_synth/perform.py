@@ -1,9 +1,8 @@
-"""From a score to a motion: evaluate the channels, then solve the pose of every frame at once."""
-
-from __future__ import annotations
+"""From a score to a motion: evaluate the channels, solve the pose of every frame at once, and say what was planned."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -11,9 +10,8 @@ from torch import Tensor
 from data_synth.anatomy import RADIUS, height_at_rest
 from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
 from data_synth.legs import HEEL, bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
-from data_synth.score import CHANNELS, SIDES, SIGN, Score
+from data_synth.score import CHANNELS, SIDED, SIDES, SIGN, Score
 from data_synth.subjects import Subject
-from data_synth.truth import course, planned_contacts, resting
 from motionlab.motion import Motion
 from motionlab.rotation import rotation_about, sixd_to_matrix
 from motionlab.skeleton import fk
@@ -22,9 +20,13 @@ from motionlab.skeleton import fk
 NOISE = {
     "sway": 0.0035, "surge": 0.0035, "z": 0.0015, "yaw": 0.012, "pitch": 0.010, "tilt": 0.007,
     "flex": 0.014, "bend": 0.012, "twist": 0.016, "nod": 0.03, "turn": 0.05, "cock": 0.02,
-    "raise": 0.035, "abduct": 0.02, "rotate": 0.04, "elbow": 0.05, "pronate": 0.06, "wrist": 0.04, "shrug": 0.01,
+    "raised": 0.035, "abduct": 0.02, "rotate": 0.04, "elbow": 0.05, "pronate": 0.06, "wrist": 0.04, "shrug": 0.01,
 }  # fmt: skip
 KNEE = RADIUS["left_knee"]
+#: A pelvis lower than this is that of someone who sits or lies on the floor, metres.
+DOWN = 0.35
+#: A joint of such a body touches the floor within this of its height at rest, metres, and below this speed, m/s.
+LYING, STILL = 0.005, 0.028
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,39 +44,29 @@ class Take:
 
 
 def perform(score: Score, fps: float = 30.0) -> Take:
-    """Play a score from time 0 to the time reached, at any frame rate.
-
-    Feet, knees and hands that the score plants stay where they are; the pelvis gives way to them.
-    """
+    """Play a score from time 0 to the time reached, at any frame rate. Feet, knees and hands that the score plants stay
+    where they are; the pelvis gives way to them."""
     frames = max(2, round(score.now * fps))
     t = torch.arange(frames, dtype=torch.float64) / fps
     control = _controls(score, t)
-    skeleton = score.subject.skeleton.to(torch.float64)
+    skeleton, name = score.subject.skeleton.to(torch.float64), "+".join(dict.fromkeys(x for *_, x in score.labels))
     root, rot = solve(score.subject, control)
-    contacts = planned_contacts(score, t)
-    motion = Motion(skeleton, root, rot, fps, contacts, "+".join(dict.fromkeys(x for *_, x in score.labels)))
-    rest = torch.tensor([height_at_rest(skeleton, name) for name in skeleton.contact_names], dtype=torch.float64)
-    motion = resting(motion, control["settle"], RADIUS["pelvis"], rest)
-    labels, phase = course(score, t)
-    return Take(motion.to(torch.float32), labels, phase, score.subject)
+    motion = _resting(Motion(skeleton, root, rot, fps, _planned_contacts(score, t), name), control["settle"])
+    return Take(motion.to(torch.float32), *_course(score, t), score.subject)
 
 
 def _controls(score: Score, t: Tensor) -> dict[str, Tensor]:
-    row = {name: i for i, name in enumerate(CHANNELS)}
-    initial = torch.tensor([score.initial[name] for name in CHANNELS], dtype=torch.float64)
-    names, start, duration, pieces = zip(*score.pieces, strict=True) if score.pieces else ((), (), (), ())
-    real = {"dtype": torch.float64}
-    channel = torch.tensor([row[name] for name in names], dtype=torch.long)
-    table = torch.tensor(pieces, **real).reshape(-1, 5)
-    curves = evaluate(initial, channel, torch.tensor(start, **real), torch.tensor(duration, **real), table, t)
+    initial = [score.initial[name] for name in CHANNELS]
+    names, *columns = zip(*score.pieces, strict=True) if score.pieces else ((), (), (), ())
+    channel = torch.tensor([CHANNELS.index(name) for name in names], dtype=torch.long)
+    initial, start, duration, pieces = (torch.tensor(x, dtype=torch.float64) for x in (initial, *columns))
+    curves = evaluate(initial, channel, start, duration, pieces.reshape(-1, 5), t)
     control = dict(zip(CHANNELS, curves, strict=True))
-    noisy = [name for name in CHANNELS if name.removeprefix("left_").removeprefix("right_") in NOISE]
+    noisy = {name: part for name in CHANNELS if (part := name.removeprefix("left_").removeprefix("right_")) in NOISE}
     generator = torch.Generator().manual_seed(int(torch.randint(2**31, (), generator=score.generator)))
-    rows = noise(t, len(noisy), generator)
     awake = 1 - 0.8 * control["settle"].clamp(0, 1)
-    for name, row_ in zip(noisy, rows, strict=True):
-        size = NOISE[name.removeprefix("left_").removeprefix("right_")] * score.subject.restless
-        control[name] = control[name] + size * row_ * awake
+    for (name, part), row in zip(noisy.items(), noise(t, len(noisy), generator), strict=True):
+        control[name] = control[name] + NOISE[part] * score.subject.restless * row * awake
     breath = (2 * math.pi * 0.26 * score.subject.tempo * t).sin()
     control["flex"] = control["flex"] - 0.008 * breath
     for side in SIDES:
@@ -108,25 +100,26 @@ def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
             rotation_about("y", turn / 2) @ rotation_about("x", nod / 2) @ rotation_about("z", cock / 2)
         )
 
-    feet = {side: _foot(subject, c, side) for side in SIDES}
+    sides = {side: c | {part: c[f"{side}_{part}"] for part in SIDED} for side in SIDES}
+    feet = {side: _foot(subject, own, side) for side, own in sides.items()}
     pelvis = _kneel(pelvis, pelvis_rot, feet, c, subject)
     pelvis = _within_reach(pelvis, pelvis_rot, feet, c, subject)
-    for side in SIDES:
-        _leg(rot, pelvis, pelvis_rot, feet[side], c, side, subject)
-        _arm_angles(rot, c, side, subject)
+    for side, own in sides.items():
+        _leg(rot, pelvis, pelvis_rot, feet[side], own, side, subject)
+        _arm_angles(rot, own, side, subject)
     rot[:, 0] = pelvis_rot
     pelvis = _settle(pelvis, rot, c, subject)
     if any(c[f"{side}_grip"].any() for side in SIDES):
         positions, orientations = fk(skeleton, pelvis, rot)
-        for side in SIDES:
-            _arm_reach(rot, positions, orientations, c, side, subject)
+        for side, own in sides.items():
+            _arm_reach(rot, positions, orientations, own, side, subject)
     return pelvis, rot
 
 
 def _foot(subject: Subject, c: dict[str, Tensor], side: str) -> tuple[Tensor, Tensor]:
     offset = subject.skeleton.offsets[subject.skeleton.index(f"{side}_foot")].to(torch.float64)
-    place = torch.stack([c[f"{side}_{part}"] for part in ("foot_x", "foot_y", "lift")], -1)
-    return foot_pose(place, c[f"{side}_foot_yaw"], c[f"{side}_heel"], c[f"{side}_toe"], offset, subject.skeleton.sole)
+    place = torch.stack([c[part] for part in ("foot_x", "foot_y", "lift")], -1)
+    return foot_pose(place, c["foot_yaw"], c["heel"], c["toe"], offset, subject.skeleton.sole)
 
 
 def _hip(subject: Subject, side: str) -> Tensor:
@@ -143,10 +136,8 @@ def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -
 
 
 def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
-    """Shift the pelvis as little as possible so that the thighs of planted knees keep their length.
-
-    Least |shift|^2 + sum w / (1 - w) error^2, w the weight of ``kneel``: exact at 1, no effect at 0.
-    """
+    """Shift the pelvis as little as possible so that the thighs of planted knees keep their length. Least |shift|^2 +
+    sum w / (1 - w) error^2, w the weight of ``kneel``: exact at 1, no effect at 0."""
     weight = {side: c[f"{side}_kneel"] for side in SIDES}
     if not any(w.any() for w in weight.values()):
         return pelvis
@@ -169,10 +160,8 @@ def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor],
 
 
 def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
-    """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait).
-
-    A foot in the air has leave to hang back, by 0.3 of its height.
-    """
+    """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait). A foot in the air
+    has leave to hang back, by 0.3 of its height."""
     longest = 0.9985 - 0.06 * c["low"]
     soft = 0.002 + 0.06 * c["low"]
     limits = [pelvis[:, 2]]
@@ -192,70 +181,60 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
     hip = pelvis + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
     left = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
     sign = SIGN[side]
-    yaw_left = heading_rotation(c[f"{side}_foot_yaw"])[..., 0]
+    yaw_left = heading_rotation(c["foot_yaw"])[..., 0]
     hinge = unit(0.55 * yaw_left + 0.45 * (pelvis_rot @ left))
-    hinge = (rotation_about("z", sign * c[f"{side}_splay"]) @ hinge[..., None])[..., 0]
-    kneel = c[f"{side}_kneel"][:, None]
+    hinge = (rotation_about("z", sign * c["splay"]) @ hinge[..., None])[..., 0]
+    kneel = c["kneel"][:, None]
     if kneel.any():
-        knee = _knee_on_floor(foot, c[f"{side}_foot_yaw"], subject)
+        knee = _knee_on_floor(foot, c["foot_yaw"], subject)
         hinge = unit(hinge + kneel * (unit(torch.linalg.cross(hip - ankle, knee - ankle, dim=-1)) - hinge))
-    loose = c[f"{side}_loose"][:, None]
+    loose = c["loose"][:, None]
     if loose.any():
-        thigh_rot = (
-            pelvis_rot
-            @ rotation_about("x", -c[f"{side}_hip_flex"])
-            @ rotation_about("z", sign * c[f"{side}_hip_abduct"])
-            @ rotation_about("y", sign * c[f"{side}_hip_twist"])
-        )
-        shin_rot = thigh_rot @ rotation_about("x", c[f"{side}_knee"])
+        thigh_rot = pelvis_rot @ rotation_about("x", -c["hip_flex"]) @ rotation_about("z", sign * c["hip_abduct"])
+        thigh_rot = thigh_rot @ rotation_about("y", sign * c["hip_twist"])
+        shin_rot = thigh_rot @ rotation_about("x", c["knee"])
         free_ankle = hip - thigh * thigh_rot[..., 1] - shin * shin_rot[..., 1]
         ankle = ankle + loose * (free_ankle - ankle)
         hinge = unit(hinge + loose * (thigh_rot[..., 0] - hinge))
-        free_foot = shin_rot @ rotation_about("x", c[f"{side}_ankle"])
+        free_foot = shin_rot @ rotation_about("x", c["ankle"])
         mixed = foot_rot[..., :2] + loose[..., None] * (free_foot - foot_rot)[..., :2]
         foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
-    hanging_back = ramp(c[f"{side}_lift"] / (0.012 + 0.06 * c["air"]) + c[f"{side}_loose"])
+    hanging_back = ramp(c["lift"] / (0.012 + 0.06 * c["air"]) + c["loose"])
     ease = 0.02 * hanging_back + 0.07 * (c["bent"] + c["low"])
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
     thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
-    foot_rot = hanging(foot_rot, shin_rot, ramp(c[f"{side}_lift"] / 0.015))
+    foot_rot = hanging(foot_rot, shin_rot, ramp(c["lift"] / 0.015))
     rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
     rot[:, name(f"{side}_knee")] = thigh_rot.mT @ shin_rot
     rot[:, name(f"{side}_ankle")] = shin_rot.mT @ foot_rot
-    toes = soft_clip(c[f"{side}_heel"], -0.7, 1.38, 0.12) * (1 - loose[:, 0])
+    toes = soft_clip(c["heel"], -0.7, 1.38, 0.12) * (1 - loose[:, 0])
     rot[:, name(f"{side}_foot")] = rotation_about("x", -toes)
 
 
 def _arm_angles(rot, c, side, subject) -> None:
     name = subject.skeleton.index
     sign = SIGN[side]
-    abduct, lifted = c[f"{side}_abduct"], c[f"{side}_raise"]
-    upper = (
-        rotation_about("x", -lifted)
-        @ rotation_about("z", sign * (abduct - math.pi / 2))
-        @ rotation_about("x", -c[f"{side}_rotate"])
-    )
+    upper = rotation_about("x", -c["raised"]) @ rotation_about("z", sign * (c["abduct"] - math.pi / 2))
+    upper = upper @ rotation_about("x", -c["rotate"])
     way = sign * upper[..., 0]  # of the upper arm, in the thorax
     high, ahead = way[:, 1], way[:, 2]
-    shrug = 0.45 * ramp((high + 0.75) / 1.75) + c[f"{side}_shrug"] - 0.02
+    shrug = 0.45 * ramp((high + 0.75) / 1.75) + c["shrug"] - 0.02
     reach = 0.22 * ramp((ahead + 0.2) / 1.2) - 0.02
     collar = rotation_about("y", -sign * reach) @ rotation_about("z", sign * shrug)
     rot[:, name(f"{side}_collar")] = collar
     rot[:, name(f"{side}_shoulder")] = collar.mT @ upper
-    elbow = soft_clip(c[f"{side}_elbow"], 0.03, 2.55, 0.12)
+    elbow = soft_clip(c["elbow"], 0.03, 2.55, 0.12)
     rot[:, name(f"{side}_elbow")] = rotation_about("y", -sign * elbow)
-    rot[:, name(f"{side}_wrist")] = rotation_about("x", -c[f"{side}_pronate"]) @ rotation_about(
-        "z", sign * -c[f"{side}_wrist"]
-    )
+    rot[:, name(f"{side}_wrist")] = rotation_about("x", -c["pronate"]) @ rotation_about("z", sign * -c["wrist"])
 
 
 def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
     """Bring the wrist to the place that the score gives, by the weight of the grip."""
     name = subject.skeleton.index
     sign = SIGN[side]
-    grip = c[f"{side}_grip"][:, None]
+    grip = c["grip"][:, None]
     shoulder, wrist = positions[:, name(f"{side}_shoulder")], positions[:, name(f"{side}_wrist")]
-    place = torch.stack([c[f"{side}_hand_{axis}"] for axis in "xyz"], -1)
+    place = torch.stack([c[f"hand_{axis}"] for axis in "xyz"], -1)
     target = wrist + grip * (place - wrist)
     target = target + 0.2 * grip * (1 - grip) * target.new_tensor([0.0, 0.0, 1.0])  # it comes from above
     swing = orientations[:, name(f"{side}_shoulder"), :, 1]
@@ -273,10 +252,8 @@ def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
 
 
 def _settle(pelvis: Tensor, rot: Tensor, c: dict[str, Tensor], subject: Subject) -> Tensor:
-    """Lay the body on the floor: raise or lower it until its lowest part touches, by the weight of ``settle``.
-
-    An arm whose hand has a place of its own does not count.
-    """
+    """Lay the body on the floor: raise or lower it until its lowest part touches, by the weight of ``settle``. An arm
+    whose hand has a place of its own does not count."""
     weight = c["settle"]
     if not weight.any():
         return pelvis
@@ -295,3 +272,46 @@ def _settle(pelvis: Tensor, rot: Tensor, c: dict[str, Tensor], subject: Subject)
         clear.append(torch.stack((*points, heights[:, ball] - skeleton.sole), -1))
     clearance = soft_min(torch.cat(clear, -1), 0.006)
     return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * clearance)[:, None]), -1)
+
+
+# ----------------------------------------------------------------------------------------------- what is known of it
+def _planned_contacts(score: Score, t: Tensor) -> Tensor:
+    """Contacts (T, C) of the joints that the score plants."""
+    names = score.subject.skeleton.contact_names
+    contacts = torch.zeros(len(t), len(names), dtype=torch.float64)
+    open_ended = [(joint, start, math.inf) for joint, start in score.planted.items()]
+    for joint, start, stop in [*score.contacts, *open_ended]:
+        contacts[(t >= start - 1e-9) & (t <= stop + 1e-9), names.index(joint)] = 1
+    return contacts
+
+
+def _resting(motion: Motion, settle: Tensor) -> Motion:
+    """Add the contacts of a body on the floor: joints at the floor that keep still.
+
+    Pelvis: within 4 cm of its thickness. The others, while it is lower than DOWN: within LYING of their height at
+    rest. Still: slower than STILL before and after.
+    """
+    names, points = motion.skeleton.contact_names, motion.positions[:, motion.skeleton.contact_indices]
+    rest = torch.tensor([height_at_rest(motion.skeleton, name) for name in names], dtype=torch.float64)
+    step = points.diff(dim=0).norm(dim=-1) * motion.fps
+    still = (torch.cat((step, step[-1:])) < STILL) & (torch.cat((step[:1], step)) < STILL)
+    touching = (motion.root[:, 2:] < DOWN) & ((points[..., 2] - rest).abs() < LYING)
+    lying = ((motion.root[:, 2] - RADIUS["pelvis"]).abs() < 0.04) & (settle > 0.999)
+    touching[:, names.index("pelvis")] = lying
+    return replace(motion, contacts=torch.maximum(motion.contacts, (touching & still).to(motion.contacts)))
+
+
+def _course(score: Score, t: Tensor) -> tuple[tuple[str, ...], Tensor]:
+    """Label and phase of every frame; the innermost action that covers a frame names it."""
+    labels, phase = ["idle"] * len(t), torch.zeros(len(t))
+    for start, stop, label in sorted(score.labels, key=lambda mark: mark[0] - mark[1]):
+        inside = ((t >= start - 1e-9) & (t < stop - 1e-9)).nonzero()[:, 0].tolist()
+        for i in inside:
+            labels[i] = label
+        if inside:
+            phase[inside] = ((t[inside] - start) / (stop - start)).clamp(0, 0.9999).float()
+    for (start, cycle), (stop, after) in pairwise(sorted(score.gait)):
+        if after > cycle:
+            inside = (t >= start) & (t < stop)
+            phase[inside] = ((cycle + (after - cycle) * (t[inside] - start) / (stop - start)) % 1).float()
+    return tuple(labels), phase

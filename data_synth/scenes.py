@@ -9,13 +9,11 @@ Nobody in them is in the training corpus: the subject that it holds out, and peo
 Source: thesis 3.2 ("a variety of motion; fast, slow, abnormal, and with occlusions"), Figs. 3.2, 3.3 and 3.5.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import torch
 from torch import Tensor
@@ -24,9 +22,9 @@ from data_synth import capture, corrupt
 from data_synth.actions import ACTIONS
 from data_synth.body import capsule_body
 from data_synth.occluders import Occluder, desk_before, wall
+from data_synth.score import uniform
 from data_synth.stunts import tumble
 from data_synth.subjects import SUBJECTS, Subject, proportioned
-from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 
@@ -76,10 +74,7 @@ def person(index: int, generator: torch.Generator) -> Subject:
     """Somebody the corpus does not know: the first is the subject that it holds out, the others are drawn."""
     if index == 0:
         return next(s for s in SUBJECTS if s.name == "dee")
-
-    def around(low: float, high: float) -> float:
-        return low + (high - low) * float(torch.rand((), generator=generator, dtype=torch.float64))
-
+    around = partial(uniform, generator)
     parts = ("thigh", "shin", "trunk", "shoulders", "arm", "forearm", "hips")
     skeleton = proportioned(around(0.94, 1.07), **{part: around(0.95, 1.05) for part in parts})
     return Subject(
@@ -89,11 +84,9 @@ def person(index: int, generator: torch.Generator) -> Subject:
     )  # fmt: skip
 
 
-def film(case: str, count: int = 8, *, seed: int = 0, frames: int = 60, body: BodyModel | None = None) -> Scene:
+def film(case: str, count: int = 8, *, seed: int = 0, frames: int = 60) -> Scene:
     """``count`` clips of a case of ``CASES``. Clip i is the same whatever the count; cases of one shooting (walking
     with and without the failure) have the same people, cameras and noise.
-
-    body: the flesh that hides and shows keypoints; default the quick one of capsules.
 
     Raises:
         KeyError: no such case; lists them.
@@ -103,12 +96,10 @@ def film(case: str, count: int = 8, *, seed: int = 0, frames: int = 60, body: Bo
     shooting, failure = CASES[case]
     generators = [_generator(seed, shooting.__name__, index) for index in range(count)]
     shots = [(*shooting(index, generator, frames), generator) for index, generator in enumerate(generators)]
-    return _filmed(case, shots, failure, seed, body)
+    return _filmed(case, shots, failure, seed)
 
 
-def film_recorded(
-    view: str, motions: Sequence[Motion], *, seed: int = 0, body: BodyModel | None = None, facing: bool = False
-) -> Scene:
+def film_recorded(view: str, motions: Sequence[Motion], *, seed: int = 0, facing: bool = False) -> Scene:
     """Films recorded motions (T), all of one length, with contacts, in a view of ``VIEWS``: one clip for each. The same
     motion has the same camera and noise in every view.
 
@@ -125,12 +116,12 @@ def film_recorded(
         where = {"azimuth": (_facing(motion) - 45.0, _facing(motion) + 45.0)} if facing else {}
         camera = capture.frame_motion(motion, generator, stand=(1.1, 1.8), **where)
         shots.append((motion, camera, VIEWS[view](motion, camera), generator))
-    return _filmed(view, shots, None, seed, body)
+    return _filmed(view, shots, None, seed)
 
 
-def _filmed(case: str, takes: Sequence[tuple], failure: Callable | None, seed: int, body: BodyModel | None) -> Scene:
+def _filmed(case: str, takes: Sequence[tuple], failure: Callable | None, seed: int) -> Scene:
     """The scene of takes: motion, camera, what stands in the way, and the generator of the detector's noise."""
-    flesh, shots = body or _flesh(), []
+    flesh, shots = _flesh(), []
     for index, (motion, camera, things, generator) in enumerate(takes):
         shot = capture.observe(motion, flesh, camera, generator, things)
         clean = shot.observation
@@ -157,10 +148,8 @@ def without(scene: Scene, frames: Iterable[int]) -> Scene:
 
 
 def gap_frames(place: str, length: int, frames: int = 60) -> list[int]:
-    """``length`` frames, the clip's at most, at its beginning ("first"), from its middle on ("middle") or at its end.
-
-    A gap that would reach beyond the end begins earlier.
-    """
+    """``length`` frames, the clip's at most, at its beginning ("first"), from its middle on ("middle") or at its end. A
+    gap that would reach beyond the end begins earlier."""
     length = min(length, frames)
     start = {"first": 0, "middle": min(frames // 2, frames - length), "last": frames - length}[place]
     return list(range(start, start + length))
@@ -220,10 +209,7 @@ def _sitting(index: int, generator: torch.Generator, frames: int) -> Shot:
 def _passing(index: int, generator: torch.Generator, frames: int) -> Shot:
     """Walking across the view; from a third of the clip on, a low wall hides the legs."""
     motion = _window("walk", index, generator, frames, speed=1.2)
-    way = motion.root[-1] - motion.root[0]
-    side = 90.0 if index % 2 else -90.0
-    along = math.degrees(math.atan2(way[1], way[0]))
-    camera = _camera(motion, generator, around=along + side, by=25.0, stand=(1.2, 1.8))
+    camera = _camera(motion, generator, around=_across(motion, index), by=25.0, stand=(1.2, 1.8))
     return motion, camera, (_low_wall(motion, camera, frames // 3),)
 
 
@@ -239,17 +225,7 @@ def _rolling(index: int, generator: torch.Generator, frames: int) -> Shot:
 
 def _tumbling(index: int, generator: torch.Generator, frames: int) -> Shot:
     motion = tumble(person(index, generator), generator, frames=frames)
-    way = motion.root[-1] - motion.root[0]
-    along = math.degrees(math.atan2(way[1], way[0]))
-    return motion, _camera(motion, generator, around=along + (90.0 if index % 2 else -90.0), by=40.0), ()
-
-
-def _flips(observation: Observation2D, generator: torch.Generator) -> tuple[Observation2D, Tensor]:
-    return corrupt.flip_limbs(observation, generator, share=0.2, length=4)
-
-
-def _false(observation: Observation2D, generator: torch.Generator) -> tuple[Observation2D, Tensor]:
-    return corrupt.false_detections(observation, generator, share=0.08, length=6)
+    return motion, _camera(motion, generator, around=_across(motion, index), by=40.0), ()
 
 
 #: Case -> how it is shot, and what the detector then gets wrong.
@@ -259,8 +235,8 @@ CASES: dict[str, tuple[Callable, Callable | None]] = {
     "sitting, legs hidden": (_sitting, None),
     "walking, legs hidden": (_passing, None),
     "walking, two legs from one": (_passing, corrupt.two_legs_from_one),
-    "limb flips": (_walking, _flips),
-    "false detections": (_easy, _false),
+    "limb flips": (_walking, partial(corrupt.flip_limbs, share=0.2, length=4)),
+    "false detections": (_easy, partial(corrupt.false_detections, share=0.08, length=6)),
     "dance": (_dancing, None),
     "floor roll": (_rolling, None),
     "tumble": (_tumbling, None),
@@ -283,9 +259,7 @@ VIEWS: dict[str, Callable[[Motion, Camera], Sequence[Occluder]]] = {
 
 
 # ------------------------------------------------------------------------------------------------ how it is done
-@cache
-def _flesh() -> BodyModel:
-    return capsule_body()
+_flesh = cache(capsule_body)
 
 
 def _generator(seed: int, what: str, index: int) -> torch.Generator:
@@ -300,21 +274,15 @@ def _window(action: str, index: int, generator: torch.Generator, frames: int, **
     motion = ACTIONS[action](person(index, generator), generator, **options).motion
     spare = motion.frames - frames
     if action == "sit":
-        low = (motion.root[:, 2] < motion.root[0, 2] - 0.01).nonzero()
-        start = int(low[0]) - 4
+        start = int((motion.root[:, 2] < motion.root[0, 2] - 0.01).nonzero()[0]) - 4
     elif action in ("floor", "dance"):  # the left of the pelvis is what a roll turns most; a dance is known by its arms
         path = motion.rot[:, 0, :, 0] if action == "floor" else (motion.positions - motion.root[:, None]).flatten(1)
         start = int((path.diff(dim=0).norm(dim=-1).unfold(0, frames - 1, 1).sum(-1)).argmax())
     else:
         start = spare // 2 if long else int(torch.randint(max(spare, 0) + 1, (), generator=generator))
     start = min(max(start, 0), max(spare, 0))
-    return _held(motion.cut(start, start + frames), frames)
-
-
-def _held(motion: Motion, frames: int) -> Motion:
-    """At least ``frames`` frames: the last pose stays."""
-    index = torch.arange(frames).clamp(max=motion.frames - 1)
-    return replace(motion, root=motion.root[index], rot=motion.rot[index], contacts=motion.contacts[index])
+    at = torch.arange(start, start + frames).clamp(max=motion.frames - 1)  # the last pose stays
+    return replace(motion, root=motion.root[at], rot=motion.rot[at], contacts=motion.contacts[at])
 
 
 def _facing(motion: Motion) -> float:
@@ -323,14 +291,20 @@ def _facing(motion: Motion) -> float:
     return math.degrees(math.atan2(forward[1], forward[0]))
 
 
+def _across(motion: Motion, index: int) -> float:
+    """Direction across the way that somebody goes, degrees from the world's +x; to the left of it every other time."""
+    way = motion.root[-1] - motion.root[0]
+    return math.degrees(math.atan2(way[1], way[0])) + (90.0 if index % 2 else -90.0)
+
+
 def _camera(motion: Motion, generator: torch.Generator, *, around: float, by: float, stand=(0.8, 2.2)) -> Camera:
     return capture.frame_motion(motion, generator, azimuth=(around - by, around + by), stand=stand)
 
 
-def _low_wall(motion: Motion, camera: Camera, start: int, *, share: float = 0.7, hidden: float = 0.85) -> Occluder:
-    """A wall ``share`` of the way to the person that hides what is below ``hidden`` metres from frame ``start`` on."""
+def _low_wall(motion: Motion, camera: Camera, start: int) -> Occluder:
+    """A wall 0.7 of the way to the person that hides what is below 0.85 metres from frame ``start`` on."""
     eye, ground = camera.centre.double(), motion.root[:, :2].double()
-    base = eye[:2] + share * (ground - eye[:2])
+    base = eye[:2] + 0.7 * (ground - eye[:2])
     way = (base[-1] - base[start]) / (base[-1] - base[start]).norm()
-    height = float(eye[2] + share * (hidden - eye[2]))
+    height = float(eye[2] + 0.7 * (0.85 - eye[2]))
     return wall(tuple(base[start].tolist()), tuple((base[-1] + 2.0 * way).tolist()), height=height)

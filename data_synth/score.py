@@ -4,8 +4,6 @@ Actions write minimum-jerk moves into named channels; :func:`data_synth.perform.
 actions write into one score, there is no seam between them: every channel has continuous acceleration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,14 +23,19 @@ _BODY = (
     "x", "y", "z", "heading", "sway", "surge", "yaw", "pitch", "roll", "tilt", "flex", "bend", "twist",
     "nod", "turn", "cock", "steady", "settle", "air", "bent", "low",
 )  # fmt: skip
-_SIDED = (
-    "raise", "abduct", "rotate", "elbow", "pronate", "wrist", "shrug",  # the arm, by angles
+SIDED = (
+    "raised", "abduct", "rotate", "elbow", "pronate", "wrist", "shrug",  # the arm, by angles
     "grip", "hand_x", "hand_y", "hand_z",  # the arm, by where the wrist is
     "foot_x", "foot_y", "lift", "foot_yaw", "heel", "toe", "splay", "kneel",  # the leg, by where the foot is
     "loose", "hip_flex", "hip_abduct", "hip_twist", "knee", "ankle",  # the leg, by angles
 )  # fmt: skip
 #: All channels: metres, radians, or weights between 0 and 1 (steady, settle, air, bent, low, grip, kneel, loose).
-CHANNELS = _BODY + tuple(f"{side}_{name}" for name in _SIDED for side in SIDES)
+CHANNELS = _BODY + tuple(f"{side}_{name}" for name in SIDED for side in SIDES)
+
+
+def uniform(generator: torch.Generator, low: float, high: float) -> float:
+    """One draw from [low, high)."""
+    return low + (high - low) * float(torch.rand((), generator=generator, dtype=torch.float64))
 
 
 @dataclass
@@ -64,13 +67,12 @@ class Score:
             self.value |= {f"{side}_{name}": v for name, v in self.arm_at_ease().items()}
             x, y = self.stance(side)
             self.value |= {f"{side}_foot_x": x, f"{side}_foot_y": y, f"{side}_foot_yaw": SIGN[side] * s.toe_out}
-            self.plant(f"{side}_ankle", 0.0)
-            self.plant(f"{side}_foot", 0.0)
+            self.plant(side, 0.0, "ankle", "foot")
         self.initial = dict(self.value)
 
     def uniform(self, low: float, high: float) -> float:
         """One draw from [low, high)."""
-        return low + (high - low) * float(torch.rand((), generator=self.generator, dtype=torch.float64))
+        return uniform(self.generator, low, high)
 
     def choose(self, options):
         """One of several options."""
@@ -83,12 +85,11 @@ class Score:
     def arm_at_ease(self) -> dict[str, float]:
         """Angles of an arm that hangs."""
         s = self.subject
-        return {"raise": 0.05, "abduct": s.carriage, "rotate": 0.15, "elbow": s.elbow, "pronate": 0.1, "wrist": 0.05}
+        return {"raised": 0.05, "abduct": s.carriage, "rotate": 0.15, "elbow": s.elbow, "pronate": 0.1, "wrist": 0.05}
 
-    def stance(self, side: str, *, forward: float = 0.0, width: float | None = None) -> tuple[float, float]:
+    def stance(self, side: str) -> tuple[float, float]:
         """Where a foot stands under the body at its present place and heading: (x, y), metres."""
-        half = SIGN[side] * (self.subject.step_width * 1.5 if width is None else width) / 2
-        return self.local(half, forward - 0.035)
+        return self.local(SIGN[side] * (self.subject.step_width * 1.5) / 2, -0.035)
 
     def local(self, left: float, forward: float) -> tuple[float, float]:
         """World (x, y) of a point given to the left and in front of the pelvis."""
@@ -122,18 +123,20 @@ class Score:
         for channel, value in to.items():
             self.move(channel, value, start, duration)
 
-    def arm(self, side: str, start: float, duration: float, **to: float) -> None:
-        """Several angles of one arm at once."""
+    def limb(self, side: str, start: float, duration: float, **to: float) -> None:
+        """Several channels of one side at once."""
         self.pose(start, duration, **{f"{side}_{name}": value for name, value in to.items()})
 
-    def plant(self, joint: str, start: float) -> None:
-        """A contact joint touches down at a time, if it does not stand already."""
-        self.planted.setdefault(joint, start)
+    def plant(self, side: str, start: float, *parts: str) -> None:
+        """Contact joints of a side touch down at a time, those that do not stand already."""
+        for part in parts:
+            self.planted.setdefault(f"{side}_{part}", start)
 
-    def release(self, joint: str, stop: float) -> None:
-        """A contact joint leaves the floor at a time."""
-        if joint in self.planted:
-            self.contacts.append((joint, self.planted.pop(joint), stop))
+    def release(self, side: str, stop: float, *parts: str) -> None:
+        """Contact joints of a side leave the floor at a time."""
+        for joint in (f"{side}_{part}" for part in parts):
+            if joint in self.planted:
+                self.contacts.append((joint, self.planted.pop(joint), stop))
 
     @contextmanager
     def action(self, label: str) -> Iterator[None]:
@@ -169,8 +172,6 @@ class Score:
             self.pulse(f"{side}_heel", heel, lift - early, early + 0.2 * swing, 0.55 * swing)
         if toe:
             self.pulse(f"{side}_toe", toe, lift + 0.45 * swing, 0.5 * swing, 0.05 * swing + late)
-        self.release(f"{side}_ankle", lift - early if heel else lift)
-        self.release(f"{side}_foot", lift)
-        flat = land + late if toe else land
-        self.plant(f"{side}_ankle", flat)
-        self.plant(f"{side}_foot", flat)
+        self.release(side, lift - early if heel else lift, "ankle")
+        self.release(side, lift, "foot")
+        self.plant(side, land + late if toe else land, "ankle", "foot")

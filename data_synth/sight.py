@@ -1,7 +1,5 @@
 """Lines of sight: how far before a point a mesh is in the way, for many frames in one ray-casting scene."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -20,11 +18,8 @@ FACES_AT_ONCE = 1_000_000  # per scene: bounds memory on long clips
 
 @dataclass(frozen=True, eq=False)
 class Shell:
-    """A coarser skin of a body whose vertices are some of the body's own.
-
-    vertices (N,): indices into the body's. faces (F, 3): indices into ``vertices``. carrier (F,): the
-    joint that carries most of each face.
-    """
+    """A coarser skin of a body whose vertices are some of the body's own. vertices (N,): indices into the body's. faces
+    (F, 3): indices into ``vertices``. carrier (F,): the joint that carries most of each face."""
 
     vertices: Tensor
     faces: Tensor
@@ -32,13 +27,13 @@ class Shell:
 
 
 @lru_cache(maxsize=4)
-def shell(body: BodyModel, faces: int = 4000) -> Shell:
-    """A skin of about ``faces`` triangles by decimation that keeps original vertices (Schroeder et al. 1992)."""
+def shell(body: BodyModel) -> Shell:
+    """A skin of about 4000 triangles by decimation that keeps original vertices (Schroeder et al. 1992)."""
     import pyvista as pv  # takes a second or more to load
 
     mesh = pv.PolyData.from_regular_faces(body.template.numpy(), body.faces.numpy())
-    if mesh.n_cells > faces:
-        mesh = mesh.decimate_pro(1 - faces / mesh.n_cells, preserve_topology=True)
+    if mesh.n_cells > 4000:
+        mesh = mesh.decimate_pro(1 - 4000 / mesh.n_cells, preserve_topology=True)
     _, index = cKDTree(body.template.numpy()).query(np.asarray(mesh.points))
     index, triangles = torch.from_numpy(index), torch.from_numpy(np.array(mesh.regular_faces)).long()
     carrier = body.weights[index][triangles].sum(1).argmax(-1)
@@ -51,12 +46,8 @@ def gap_to(vertices: Tensor, faces: Tensor, eye: Tensor, targets: Tensor) -> tup
     All frames share one scene: frame t is moved, eye and all, to a cell of its own on a grid, so far from
     the others that what a line meets on its way to the target can only be of its own frame.
 
-    Args:
-        vertices: (T, V, 3) metres. faces: (F, 3). eye: (3,). targets: (T, N, 3).
-
-    Returns:
-        gap (T, N) in metres, positive where something is in the way and -1 where nothing is; the face met
-        (T, N), 0 where none.
+    vertices (T, V, 3), eye (3,), targets (T, N, 3): metres. Returns the gap (T, N) in metres, positive where something
+    is in the way and -1 where nothing is, and the face met (T, N), 0 where none.
     """
     sizes = check_shape(targets, "T N 3", "targets")
     check_shape(vertices, f"{sizes['T']} V 3", "vertices")

@@ -1,11 +1,10 @@
 """What nobody in the corpus does: motion for fits that must leave what a prior has learnt."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
 import torch
+from torch.nn import functional as F
 
 from data_synth.actions import ACTIONS
 from data_synth.curves import ramp
@@ -18,14 +17,14 @@ _TUCK = {"hip": -2.1, "knee": 2.3, "spine": 0.35, "neck": 0.6}
 FLESH = 0.07  # metres from a joint to the floor below it
 
 
-def tumble(subject: Subject, generator: torch.Generator, *, frames: int = 60, fps: float = 30.0) -> Motion:
+def tumble(subject: Subject, generator: torch.Generator, *, frames: int = 60) -> Motion:
     """From a crouch a roll forward, head over heels and on: tucked up, one turn and a quarter in the clip.
 
     The tuck is a pose, the turn is about the body's left axis, the lowest joint stays FLESH above the floor, and the
     body advances by a radius of 0.3 m times the turn. Not a gymnast: a motion outside the training data whose every
     number is known.
     """
-    crouch = ACTIONS["crouch"](subject, generator, fps=fps).motion
+    crouch = ACTIONS["crouch"](subject, generator).motion
     deep = int(crouch.root[:, 2].argmin())
     ready = min(frames // 4, deep)
     start = crouch.cut(deep - ready, deep)
@@ -56,6 +55,6 @@ def _grounded(motion: Motion, ready: int) -> torch.Tensor:
     lift = FLESH - motion.positions[..., 2].amin(-1)
     lift[:ready] = 0.0
     window = torch.hann_window(9, periodic=False)[1:-1]
-    padded = torch.nn.functional.pad(lift[None, None], (3, 3), mode="replicate")
-    smooth = torch.nn.functional.conv1d(padded, (window / window.sum())[None, None])[0, 0]
-    return motion.root + torch.stack((torch.zeros_like(smooth), torch.zeros_like(smooth), smooth), -1)
+    padded = F.pad(lift[None, None], (3, 3), mode="replicate")
+    smooth = F.conv1d(padded, (window / window.sum())[None, None])[0, 0]
+    return motion.root + F.pad(smooth[:, None], (2, 0))

@@ -1,7 +1,5 @@
 """Who moves: proportions per segment and a personal style."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import torch
@@ -9,16 +7,11 @@ import torch
 from motionlab.skeleton import STANDARD, Skeleton
 
 SEGMENTS = {
-    "thigh": ("left_knee", "right_knee"),
-    "shin": ("left_ankle", "right_ankle"),
-    "foot": ("left_foot", "right_foot"),
-    "hips": ("left_hip", "right_hip"),
-    "trunk": ("spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"),
-    "head": ("head",),
-    "shoulders": ("left_shoulder", "right_shoulder"),
-    "arm": ("left_elbow", "right_elbow"),
+    "thigh": ("left_knee", "right_knee"), "shin": ("left_ankle", "right_ankle"), "foot": ("left_foot", "right_foot"),
+    "hips": ("left_hip", "right_hip"), "trunk": ("spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"),
+    "head": ("head",), "shoulders": ("left_shoulder", "right_shoulder"), "arm": ("left_elbow", "right_elbow"),
     "forearm": ("left_wrist", "right_wrist"),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

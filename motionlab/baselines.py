@@ -1,10 +1,8 @@
-"""Fills gaps and smooths motions without a model, as baselines: hold, interpolate, filters.
+"""Fills gaps and smooths motions without a model, as baselines: interpolate, filters.
 
 Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single joints, True where the motion
 may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Callable
@@ -37,13 +35,8 @@ def _mask(known: Tensor, motion: Motion) -> Tensor:
 def nearest_known(known: Tensor) -> tuple[Tensor, Tensor]:
     """Computes the nearest known frame at or before each frame, and at or after it, from a mask of known frames.
 
-    Before the first known frame both are the first one, after the last one both are the last.
-
-    Args:
-        known: (..., T) bool.
-
-    Returns:
-        two (..., T) int64 frame indices, always within 0..T-1; without meaning in a row that knows no frame.
+    known: (..., T) bool. Two (..., T) int64 frame indices, always within 0..T-1: before the first known frame both are
+    the first one, after the last one both are the last; without meaning in a row that knows no frame.
     """
     frames = known.shape[-1]
     time = torch.arange(frames, device=known.device).expand(known.shape)
@@ -78,14 +71,6 @@ def _take(x: Tensor, frames: Tensor) -> Tensor:
     rest = x.ndim - frames.ndim
     index = frames.reshape(*frames.shape, *(1,) * rest).expand(x.shape)
     return x.gather(frames.ndim - 2, index)
-
-
-def hold(motion: Motion, known: Tensor) -> Motion:
-    """Fills unknown rotations and root positions with the last known ones (the first known ones before those)."""
-    known = _mask(known, motion)
-    before, _, _ = between_known(known)
-    root = _take(motion.root[..., None, :], before[..., :1])[..., 0, :]
-    return replace(motion, root=root, rot=_take(motion.rot, before), contacts=None)
 
 
 def interpolate(motion: Motion, known: Tensor) -> Motion:
@@ -137,21 +122,20 @@ def one_euro(x: Tensor, fps: float, min_cutoff: float = 1.0, beta: float = 0.0, 
     return torch.stack(out, -2)
 
 
-def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tensor | None = None) -> Tensor:
-    """Smooths x (..., T, D) by a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother; gaps are filled.
+def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
+    """Smooths x (..., T, D) by a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother.
 
     The mean of p given x in: x_t = p_t + noise, dp = v dt, dv = white noise.
 
     Args:
         noise: standard deviation of a measurement, in units of x.
         acceleration: strength of the white acceleration, units of x / s^(3/2).
-        known: (..., T) or (..., T, D): where x was measured; what stands elsewhere is not looked at.
 
     Raises:
-        ShapeError: no frames, or ``known`` fits neither shape.
+        ShapeError: no frames.
         ValueError: fps, noise or acceleration is not a finite number above zero (without spread nothing weighs
             one measurement against another).
-        DataError: a measured x is not finite.
+        DataError: x is not finite.
     """
     sizes = check_shape(x, "... T D", "x")
     for name, value in (("fps", fps), ("noise", noise), ("acceleration", acceleration)):
@@ -159,17 +143,12 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tens
             raise ValueError(f"{name}: expected a finite number above zero, got {value}")
     if x.numel() == 0:
         raise ShapeError(f"x {tuple(x.shape)}: nothing to smooth")
-    if known is not None and tuple(known.shape) not in (tuple(x.shape), tuple(x.shape[:-1])):
-        raise ShapeError(f"known: expected {tuple(x.shape)} or {tuple(x.shape[:-1])}, got {tuple(known.shape)}")
-    if known is None and x.numel() > sizes["T"] ** 2 and x.isfinite().all():  # what it makes of x is a matrix times x
+    if not x.isfinite().all():
+        raise DataError("x holds NaN or infinity", remedy="fill it first")
+    if x.numel() > sizes["T"] ** 2:  # what it makes of x is a matrix times x
         weights = kalman(torch.eye(sizes["T"], dtype=torch.float64, device=x.device), fps, noise, acceleration)
         return (weights @ x.double()).to(x)
-    seen = torch.ones_like(x) if known is None else (known[..., None] if known.ndim < x.ndim else known).expand_as(x)
-    seen = seen.double()
-    z = torch.where(seen > 0, x.double(), 0.0)
-    if not z.isfinite().all():
-        raise DataError("x holds NaN or infinity where it was measured", remedy="mark it unknown with known=")
-    dt = 1 / fps
+    z, dt = x.double(), 1 / fps
     step = z.new_tensor([[1.0, dt], [0.0, 1.0]])
     q = acceleration**2 * z.new_tensor([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
     mean = torch.zeros(*x.shape[:-2], sizes["D"], 2, 1, dtype=torch.float64, device=x.device)
@@ -179,7 +158,7 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tens
     for t in range(sizes["T"]):
         if t:
             mean, cov = step @ mean, step @ cov @ step.mT + q
-        gain = cov[..., :1] / (cov[..., :1, :1] + noise**2) * seen[..., t, :, None, None]
+        gain = cov[..., :1] / (cov[..., :1, :1] + noise**2)
         mean = mean + gain * (z[..., t, :, None, None] - mean[..., :1, :])
         cov = cov - gain * cov[..., :1, :]
         means, covs = [*means, mean], [*covs, cov]
@@ -192,10 +171,8 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float, known: Tens
 
 
 def _smooth_rotations(rot: Tensor, smoother: Callable[[Tensor], Tensor]) -> Tensor:
-    """Rotations (..., T, J, 3, 3) with ``smoother`` applied to (..., T, 3 J) tangent vectors at each joint's mean.
-
-    The vectors are made continuous in time, so a joint that spins is followed round.
-    """
+    """Rotations (..., T, J, 3, 3) with ``smoother`` applied to (..., T, 3 J) tangent vectors at each joint's mean. The
+    vectors are made continuous in time, so a joint that spins is followed round."""
     check_shape(rot, "... T J 3 3", "rot")
     centre = rotation.mean(rot.movedim(-4, -3))[..., None, :, :, :]
     tangent = rotation.unroll_axis_angle(rotation.log(centre.mT @ rot), dim=-3)

@@ -4,18 +4,16 @@ A checkpoint is written whole or not at all, and says by a checksum in its recip
 it is executed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
@@ -139,3 +137,27 @@ def load_foreign(path: Path | str, key: str, remedy: str) -> dict[str, Tensor]:
     if not found:
         raise DataError("no state dict inside", path=path, remedy=remedy)
     return found
+
+
+# -------------------------------------------------------------------------------------------- what can be made again
+def keep(path: Path, tensors: Mapping[str, Tensor], about: object) -> None:
+    """Writes what took long to make, with what JSON says about it: what :func:`kept` reads."""
+    tensors, text = {name: x.contiguous().clone() for name, x in tensors.items()}, json.dumps(about)
+    write_whole(path, save_tensors(tensors, {"about": text, "sum": _sum(tensors, text)}))
+
+
+def kept(path: Path) -> tuple[dict[str, Tensor], Any] | None:
+    """Returns the tensors that :func:`keep` wrote, and what it said about them; None where nothing is, or damaged."""
+    try:
+        with safe_open(path, "pt") as file:
+            said, tensors = file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}
+        return (tensors, json.loads(said["about"])) if said["sum"] == _sum(tensors, said["about"]) else None
+    except (OSError, SafetensorError, KeyError, ValueError):
+        return None
+
+
+def _sum(tensors: Mapping[str, Tensor], about: str) -> str:
+    whole = hashlib.sha256(about.encode())
+    for name in sorted(tensors):
+        whole.update(name.encode() + tensors[name].contiguous().numpy().tobytes())
+    return whole.hexdigest()

@@ -12,8 +12,6 @@ Faults are found by measurement, never by a file's name:
 Source: none; thresholds were chosen by looking at what they cut from the CMU library (notebook 01).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Contact labels: which joints touch the floor, from heights in metres and speeds in metres per second."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch
@@ -31,11 +29,8 @@ def resting_heights(skeleton: Skeleton) -> Tensor:
 
 
 def _hysteresis(on: Tensor, off: Tensor) -> Tensor:
-    """Runs of not ``off`` in time that hold at least one ``on``: bool (..., T, C), as both.
-
-    The same forwards and backwards in time: a run begins and ends at the loose threshold and needs the
-    strict one once.
-    """
+    """Runs of not ``off`` in time that hold at least one ``on``: bool (..., T, C), as both. The same forwards and
+    backwards in time: a run begins and ends at the loose threshold and needs the strict one once."""
     on = on & ~off
 
     def since(on: Tensor, off: Tensor) -> Tensor:  # was the last event an "on"?
@@ -46,13 +41,9 @@ def _hysteresis(on: Tensor, off: Tensor) -> Tensor:
 
 
 def contacts_from_positions(
-    positions: Tensor,
-    fps: float,
-    resting: Tensor | float,
-    *,
-    height: tuple[float, float] = (0.03, 0.06),
+    positions: Tensor, fps: float, resting: Tensor | float, *, height: tuple[float, float] = (0.03, 0.06),
     speed: tuple[float, float] = (0.25, 0.5),
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Computes contact labels (..., T, C), 0 or 1, from joint positions (..., T, C, 3) in metres, world, z up.
 
     A contact is a run of frames below both loose thresholds that goes below both strict ones at least once.
@@ -76,8 +67,8 @@ def contacts_from_positions(
     return _hysteresis(on, off).to(positions.dtype)
 
 
-def with_contacts(motion: Motion, **thresholds: tuple[float, float]) -> Motion:
-    """Labels a motion's contacts from its own joint positions; thresholds as :func:`contacts_from_positions`."""
+def with_contacts(motion: Motion) -> Motion:
+    """Labels a motion's contacts from its own joint positions, by :func:`contacts_from_positions`."""
     positions = motion.positions[..., motion.skeleton.contact_indices, :]
     resting = resting_heights(motion.skeleton).to(positions)
-    return replace(motion, contacts=contacts_from_positions(positions, motion.fps, resting, **thresholds))
+    return replace(motion, contacts=contacts_from_positions(positions, motion.fps, resting))

@@ -10,27 +10,22 @@ is parsed again. A file that cannot be used is named and counted, or ends the ru
 Source: thesis 4.1.2, "Data": normalised, on a standard skeleton, sequences held out.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
-import json
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save as serialised
 from tqdm.auto import tqdm
 
-from motionlab import cleaning, rotation, subjects
+from motionlab import checkpoint, cleaning, rotation, subjects
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError, MissingData
-from motionlab.files import source_hash, write_whole
+from motionlab.files import source_hash
 from motionlab.io.reading import reading
 from motionlab.io.recordings import recordings
 from motionlab.motion import FPS, Motion, resample
@@ -90,7 +85,7 @@ class Corpus:
 
     takes: tuple[Take, ...]
     rows: tuple[SourceRow, ...]
-    digest: str = field(default="")
+    digest: str = ""
 
     def part(self, name: str) -> list[Take]:
         """The takes of a part: "train", "val" or "test".
@@ -160,8 +155,7 @@ def assemble(
         path = kept / f"{name}-{key}.safetensors"
         stored = _read(path)
         if stored is None:
-            stored = _prepared(name, folder, files, fps, strict, workers, progress)
-            write_whole(path, stored)
+            checkpoint.keep(path, *_prepared(name, folder, files, fps, strict, workers, progress))
             stored = _read(path)
         takes, row = stored
         if strict and row.refused:
@@ -220,32 +214,22 @@ def _code() -> str:
 
 def _prepared(
     source: str, folder: Path, files: Sequence[tuple[Path, Callable]], fps: float, strict: bool, workers: int, bar: bool
-) -> bytes:
+) -> tuple[dict[str, torch.Tensor], dict]:
     """One source, ready to be kept."""
     said = _descriptions(folder / source)
     lots = [files[i : i + _TOGETHER] for i in range(0, len(files), _TOGETHER)]
     jobs = [partial(_some, folder / source, lot, fps, said, strict) for lot in lots]
     with tqdm(total=len(files), disable=not bar, desc=source, unit="file") as shown:
         found = run_jobs(jobs, min(workers, len(jobs)) or 1, lambda k, _: shown.update(len(lots[k])))
-    every = [each for lot in found for each in lot]
-    tensors = {name: torch.cat([t for each in every for t in each[name]]) for name in _EMPTY}
-    cut: Counter[str] = Counter()
+    every, cut = [each for lot in found for each in lot], Counter()
     for each in every:
         cut.update(each["cut"])
     row = {
         "source": source, "recordings": len(files), "seconds": sum(each["seconds"] for each in every), "cut": cut,
         "refused": {each["file"]: each["refused"] for each in every if each["refused"]},
     }  # fmt: skip
-    text = json.dumps({"takes": [take for each in every for take in each["takes"]], "row": row, "fps": fps})
-    return serialised(tensors, {"about": text, "sum": _sum(text, tensors)})
-
-
-def _sum(about: str, tensors: Mapping[str, torch.Tensor]) -> str:
-    """A hash of all that is kept, so that damage is noticed."""
-    whole = hashlib.sha256(about.encode())
-    for name in _EMPTY:
-        whole.update(tensors[name].contiguous().numpy())
-    return whole.hexdigest()
+    tensors = {name: torch.cat([t for each in every for t in each[name]]) for name in _EMPTY}
+    return tensors, {"takes": [take for each in every for take in each["takes"]], "row": row, "fps": fps}
 
 
 _EMPTY = {
@@ -278,20 +262,17 @@ def _one(place: Path, path: Path, load: Callable, fps: float, said: str, strict:
         if strict:
             raise DataError(_reason(error), path=path, remedy=_WITHOUT) from error
         return found | {"refused": _reason(error)}
-    found["seconds"] = whole.seconds
-    found["cut"] = dict(cleaned.seconds)
+    found |= {"seconds": whole.seconds, "cut": dict(cleaned.seconds)}
     for stretch in cleaned.stretches:
         labelled = with_contacts(stretch)
         found["root"].append(labelled.root.float())
         found["rot"].append(rotation.matrix_to_quaternion(labelled.rot.float()))
         found["contacts"].append(labelled.contacts.to(torch.uint8))
         found["offsets"].append(labelled.skeleton.offsets.float()[None])
-        found["takes"].append(
-            {
-                "name": stretch.name, "file": file.as_posix(), "said": said, "fps": recording.fps,
-                "missing": list(moved.unmapped), "frames": labelled.frames, "sole": labelled.skeleton.sole,
-            }
-        )  # fmt: skip
+        found["takes"].append({
+            "name": stretch.name, "file": file.as_posix(), "said": said, "fps": recording.fps,
+            "missing": list(moved.unmapped), "frames": labelled.frames, "sole": labelled.skeleton.sole,
+        })  # fmt: skip
     return found
 
 
@@ -315,23 +296,15 @@ def _descriptions(place: Path) -> dict[str, str]:
 
 def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
     """A kept source; None where there is none, or it is damaged."""
-    try:
-        with safe_open(path, "pt") as file:
-            said, tensors = file.metadata() or {}, {name: file.get_tensor(name) for name in _EMPTY}
-        if said["sum"] != _sum(said["about"], tensors):
-            return None
-        about = json.loads(said["about"])
-    except (OSError, SafetensorError, KeyError, ValueError):
+    if (found := checkpoint.kept(path)) is None:
         return None
-    root, rot, contacts, offsets = tensors.values()
+    (root, rot, contacts, offsets), about = (found[0][name] for name in _EMPTY), found[1]
     source, takes, at = about["row"]["source"], [], 0
     matrices = rotation.quaternion_to_matrix(rot)
-    for i, each in enumerate(about["takes"]):
-        stop = at + each["frames"]
-        skeleton = replace(STANDARD, offsets=offsets[i], sole=each["sole"])
-        labels = contacts[at:stop].float()
-        motion = Motion(skeleton, root[at:stop], matrices[at:stop], about["fps"], labels, name=each["name"])
+    for own, each in zip(offsets, about["takes"], strict=True):
+        some, at = slice(at, at + each["frames"]), at + each["frames"]
+        skeleton = replace(STANDARD, offsets=own, sole=each["sole"])
+        motion = Motion(skeleton, root[some], matrices[some], about["fps"], contacts[some].float(), name=each["name"])
         person = subjects.person_of(source, each["file"])
         takes.append(Take(motion, each["name"], source, person, each["said"], each["fps"], tuple(each["missing"])))
-        at = stop
     return takes, SourceRow(**about["row"], kept=sum(t.motion.seconds for t in takes))

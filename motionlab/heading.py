@@ -1,7 +1,5 @@
 """Moves motions into the heading frame, which turns with where a body faces, or into another frame, and back."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import torch

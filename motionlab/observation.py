@@ -14,33 +14,27 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.motion import FPS
 
 
-def at_rate(observation: Observation2D, fps: float = FPS, *, times: np.ndarray | None = None) -> Observation2D:
-    """Computes keypoints at another frame rate: linear where both frames saw the point, else the nearer frame's.
+def at_rate(observation: Observation2D, *, times: np.ndarray | None = None) -> Observation2D:
+    """Computes keypoints at 30 frames a second: linear where both frames saw the point, else the nearer frame's.
 
     The first frame stays; the last sample is the last that lies inside the recording.
 
     times (T,): seconds of the frames since the first, where they do not come at even times.
     """
     last = (observation.frames - 1) / observation.fps if times is None else float(times[-1])
-    count = int(last * fps + 1e-6) + 1
-    at = torch.arange(count, dtype=torch.float64) * (observation.fps / fps)
+    count = int(last * FPS + 1e-6) + 1
+    at = torch.arange(count, dtype=torch.float64) * (observation.fps / FPS)
     if times is not None:
-        at = torch.from_numpy(np.interp(np.arange(count) / fps, times, np.arange(len(times), dtype=float)))
+        at = torch.from_numpy(np.interp(np.arange(count) / FPS, times, np.arange(len(times), dtype=float)))
     low = (at + 1e-6).floor().long().clamp(max=observation.frames - 1)
     high = (low + 1).clamp(max=observation.frames - 1)
     share = (at - low).clamp(min=0).to(observation.keypoints)[:, None]  # (T, 1) before keypoints
-    points, confidence = observation.keypoints, observation.confidence
-    a, b = points[..., low, :, :], points[..., high, :, :]
-    p, q = confidence[..., low, :], confidence[..., high, :]
-    both = (p > 0) & (q > 0) & (share > 1e-5)
-    near = torch.where(share > 0.5, q, p)
-    nearest = torch.where((share > 0.5)[..., None], b, a)
-    return replace(
-        observation,
-        keypoints=torch.where(both[..., None], torch.lerp(a, b, share[..., None]), nearest),
-        confidence=torch.where(both, torch.lerp(p, q, share), near),
-        fps=fps,
-    )
+    a, b = (observation.keypoints[..., at, :, :] for at in (low, high))
+    p, q = (observation.confidence[..., at, :] for at in (low, high))
+    both, later = (p > 0) & (q > 0) & (share > 1e-5), share > 0.5
+    points = torch.where(both[..., None], torch.lerp(a, b, share[..., None]), torch.where(later[..., None], b, a))
+    confidence = torch.where(both, torch.lerp(p, q, share), torch.where(later, q, p))
+    return replace(observation, keypoints=points, confidence=confidence, fps=FPS)
 
 
 #: OpenPose BODY_25, in OpenPose's order.

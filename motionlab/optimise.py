@@ -11,8 +11,6 @@ and tries steepest descent once before it gives up. torch ignores pairs with a c
 unit, and so crawls where energies are small.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time
@@ -215,7 +213,6 @@ def minimise_batch(
     memory: int = 100,
     tolerance_grad: float = 1e-7,
     tolerance_change: float | Tensor = 0.0,
-    rows: bool = False,
     unit: bool = False,
     progress: bool | str = False,
 ) -> BatchFit:
@@ -225,7 +222,8 @@ def minimise_batch(
     clip's search at its best point.
 
     Args:
-        energy: (B,) from all variables, by name; entry b may depend on row b only.
+        energy: (n,) from the variables (n, ...) of the clips that still run, by name, and their numbers (n,); an entry
+            may depend on its own row only.
         variables: the start, all (B, ...) and, those that move, of one type and device.
         steps, inner: at most steps x inner iterations per clip.
         max_closures: never evaluate more often; None: 5/4 of the iterations, as torch's L-BFGS.
@@ -233,18 +231,16 @@ def minimise_batch(
         tolerance_grad: a clip stops when the largest entry of its gradient is at most this.
         tolerance_change: an iteration that lowers the energy by no more than this counts as none; (B,) for one
             number per clip.
-        rows: call ``energy(variables of the n clips that still run (n, ...), their numbers (n,))`` -> (n,), so that
-            clips that have stopped cost nothing more.
         unit: the variables are such that a step along minus the gradient is Newton's, or nearly: a first search begins
             with it, instead of a step that moves nothing by more than 1.
         progress: show a bar with the mean energy and the number of clips that still run; or its name.
 
     Raises:
         NotConverged: no clip has a finite energy and gradient at the start.
-        ShapeError: the energy or ``tolerance_change`` is not (B,), or the variables differ in their first axis.
+        ShapeError: the energy is not (n,), ``tolerance_change`` not (B,), or the variables differ in their first axis.
         ValueError: no variable requires gradients, or those that do differ in type.
     """
-    machine = _Machine(energy, variables, memory, rows=rows)
+    machine = _Machine(energy, variables, memory)
     machine.iterations, machine.tolerance_grad, machine.unit = steps * inner, tolerance_grad, unit
     tolerance, each = torch.as_tensor(tolerance_change, dtype=torch.float64), (len(machine.clips),)
     if tolerance.ndim and tolerance.shape != each:
@@ -289,7 +285,7 @@ class _Machine:
     iterations, tolerance_grad, unit = 0, 0.0, False
     tolerance_change: list[float]  # of each clip
 
-    def __init__(self, energy: Callable[..., Tensor], variables: dict[str, Tensor], memory: int, *, rows: bool) -> None:
+    def __init__(self, energy: Callable[..., Tensor], variables: dict[str, Tensor], memory: int) -> None:
         moving = {name: value.detach() for name, value in variables.items() if value.requires_grad}
         if not moving:
             names = ", ".join(variables) or "no variables"
@@ -299,7 +295,7 @@ class _Machine:
         if len({value.shape[:1] for value in variables.values()}) > 1:
             shapes = {name: tuple(value.shape) for name, value in variables.items()}
             raise ShapeError(f"variables: expected a common first axis of clips, got {shapes}")
-        self.energy, self.rows, self.names = energy, rows, list(variables)
+        self.energy, self.names = energy, list(variables)
         self.shapes = {name: value.shape[1:] for name, value in moving.items()}
         self.fixed = {name: value.detach().clone() for name, value in variables.items() if name not in moving}
         self.x = torch.cat([value.flatten(1) if value.ndim > 1 else value[:, None] for value in moving.values()], dim=1)
@@ -320,18 +316,15 @@ class _Machine:
         return {name: moved[name] if name in moved else fixed[name] for name in self.names}
 
     def evaluate(self, at: Tensor, live: list[int]) -> tuple[Tensor, Tensor]:
-        """Energies (B,) and gradients (B, N) at points (B, N)."""
-        rows = torch.tensor(live, device=at.device) if self.rows else None
-        leaf = (at.detach() if rows is None else at[rows]).requires_grad_()
+        """Energies (B,) and gradients (B, N) at points (B, N), of those that live anew."""
+        rows = torch.tensor(live, device=at.device)
+        leaf = at[rows].requires_grad_()
         with torch.enable_grad():
-            point = self.named(leaf, rows)
-            value = self.energy(point) if rows is None else self.energy(point, rows)
+            value = self.energy(self.named(leaf, rows), rows)
             if value.shape != leaf.shape[:1]:
                 raise ShapeError(f"energy: expected shape ({len(leaf)},), got {tuple(value.shape)}")
             (gradient,) = torch.autograd.grad(value.sum(), leaf)
         value = value.detach().to(at.dtype)
-        if rows is None:
-            return value, gradient
         return self.best_energy.index_copy(0, rows, value), torch.zeros_like(self.g).index_copy(0, rows, gradient)
 
     @torch.no_grad()

@@ -1,7 +1,5 @@
 """Loads sources of recordings by name and licence, on the standard joints at one frame rate; draws evenly from them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path

@@ -5,8 +5,6 @@ all sources at once. ``subjects.toml`` says which persons are kept from training
 named there is split by a hash of the person's name, so that it stays the same from one machine to the next.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 import tomllib

@@ -47,12 +47,9 @@ def test_interpolation_is_exact_at_constant_speed_and_keeps_the_known(generator,
     assert torch.equal(filled.rot[mask], motion.rot[mask])
 
 
-def test_hold_repeats_the_last_known_frame(generator):
+def test_ends_hold(generator):
     motion = swinging(generator, frames=6)
     known = torch.tensor([False, True, False, False, True, False])
-    filled = baselines.hold(scrambled(motion, known, generator), known)
-    expected = torch.tensor([1, 1, 1, 1, 4, 4])
-    assert torch.equal(filled.rot, motion.rot[expected]) and torch.equal(filled.root, motion.root[expected])
     ends = baselines.interpolate(scrambled(motion, known, generator), known)
     torch.testing.assert_close(ends.rot[[0, -1]], motion.rot[[1, 4]])
 
@@ -70,11 +67,10 @@ def test_nearest_known_frames_agree_with_a_loop(generator):
 
 def test_nothing_known_and_wrong_masks_are_refused(generator):
     motion = swinging(generator, frames=6)
-    for fill in (baselines.hold, baselines.interpolate):
-        with pytest.raises(ShapeError, match="no frame"):
-            fill(motion, torch.zeros(6))
-        with pytest.raises(ShapeError, match="expected"):
-            fill(motion, torch.ones(5))
+    with pytest.raises(ShapeError, match="no frame"):
+        baselines.interpolate(motion, torch.zeros(6))
+    with pytest.raises(ShapeError, match="expected"):
+        baselines.interpolate(motion, torch.ones(5))
 
 
 def test_a_mask_that_can_be_read_in_two_ways_is_refused(generator):
@@ -83,11 +79,13 @@ def test_a_mask_that_can_be_read_in_two_ways_is_refused(generator):
     known = torch.ones(22, 22, dtype=torch.bool)
     known[3, 5] = False
     with pytest.raises(ShapeError, match="all axes"):
-        baselines.hold(motion, known)
-    held = baselines.hold(motion, known[..., None].expand(22, 22, 22))
-    assert torch.equal(held.root[3, 5], motion.root[3, 4]) and torch.equal(held.root[4], motion.root[4])
-    single = motion.clip(0)
-    assert torch.equal(baselines.hold(single, known).rot[3, 5], single.rot[2, 5])
+        baselines.interpolate(motion, known)
+    lost = replace(motion, root=motion.root.clone(), rot=motion.rot.clone())
+    lost.root[3, 5], lost.rot[0, 3, 5] = 9.0, torch.eye(3)
+    filled = baselines.interpolate(lost, known[..., None].expand(22, 22, 22))
+    assert filled.root[3, 5].max() < 9 and torch.equal(filled.root[4], lost.root[4])
+    single, filled = lost.clip(0), baselines.interpolate(lost.clip(0), known)
+    assert not torch.equal(filled.rot[3, 5], single.rot[3, 5]) and torch.equal(filled.rot[3, 4], single.rot[3, 4])
 
 
 def test_savitzky_golay_keeps_its_polynomials(generator):
@@ -107,7 +105,7 @@ def test_one_euro_agrees_with_its_twin(generator):
         np.testing.assert_allclose(found[:, d], twins.one_euro(x[:, d].tolist(), 30.0, 1.2, 0.3, 0.9))
 
 
-def dense_smoother(z, seen, dt, noise, acceleration):
+def dense_smoother(z, dt, noise, acceleration):
     """The same posterior mean by one dense least-squares solve over all states [p, v]."""
     frames = len(z)
     q = acceleration**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
@@ -118,36 +116,26 @@ def dense_smoother(z, seen, dt, noise, acceleration):
         row[:, 2 * t : 2 * t + 2], row[:, 2 * t + 2 : 2 * t + 4] = -whiten @ [[1, dt], [0, 1]], whiten
         rows, right = [*rows, *row], [*right, 0, 0]
     for t in range(frames):
-        if seen[t]:
-            row = np.zeros(2 * frames)
-            row[2 * t] = 1 / noise
-            rows, right = [*rows, row], [*right, z[t] / noise]
+        row = np.zeros(2 * frames)
+        row[2 * t] = 1 / noise
+        rows, right = [*rows, row], [*right, z[t] / noise]
     return np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0][::2]
 
 
 def test_kalman_smoother_agrees_with_dense_least_squares(generator):
     x = torch.randn(25, 2, generator=generator, dtype=F64).cumsum(0)
-    seen = torch.rand(25, 2, generator=generator) < 0.6
-    seen[:3] = True
-    hidden = torch.where(seen, x, float("nan"))
-    found = baselines.kalman(hidden, 30.0, 0.5, 20.0, seen)
+    found = baselines.kalman(x, 30.0, 0.5, 20.0)
     for d in range(2):
-        expected = dense_smoother(x[:, d].numpy(), seen[:, d].numpy(), 1 / 30, 0.5, 20.0)
-        np.testing.assert_allclose(found[:, d], expected, atol=1e-4)
-    by_frame = baselines.kalman(x, 30.0, 0.5, 20.0, seen[:, 0])
-    torch.testing.assert_close(by_frame[:, 0], found[:, 0])
+        np.testing.assert_allclose(found[:, d], dense_smoother(x[:, d].numpy(), 1 / 30, 0.5, 20.0), atol=1e-4)
 
 
-def test_kalman_of_many_columns_is_one_matrix_and_with_gaps_it_is_not(generator, monkeypatch):
+def test_kalman_of_many_columns_is_one_matrix(generator, monkeypatch):
     """What it makes of unit pulses, put together, is what it makes of the columns frame by frame."""
     x, asked, kalman = 5 * torch.randn(2, 25, 30, generator=generator, dtype=F64).cumsum(-2), [], baselines.kalman
     monkeypatch.setattr(baselines, "kalman", lambda *given: asked.append(given[0]) or kalman(*given))
     found = kalman(x, 30.0, 0.5, 20.0)
     assert len(asked) == 1 and torch.equal(asked.pop(), torch.eye(25, dtype=F64))
-    assert (found - kalman(x, 30.0, 0.5, 20.0, torch.ones(2, 25))).abs().max() < 1e-6
     assert (found[0, :, :25] - kalman(x[0, :, :25], 30.0, 0.5, 20.0)).abs().max() < 1e-6  # no more columns than frames
-    gaps = torch.rand(2, 25, generator=generator) < 0.7
-    assert (kalman(x, 30.0, 0.5, 20.0, gaps) - found).abs().max() > 0.1
     x[1, 3, 7] = torch.nan
     with pytest.raises(DataError, match="NaN"):
         kalman(x, 30.0, 0.5, 20.0)
@@ -161,16 +149,13 @@ def test_kalman_refuses_what_leaves_nothing_to_weigh(name, value):
         baselines.kalman(torch.zeros(5, 2), **{"fps": 30.0, "noise": 0.1, "acceleration": 1.0, name: value})
 
 
-def test_kalman_refuses_measured_nan_and_not_hidden_nan():
+def test_kalman_refuses_nan_and_nothing():
     x = torch.arange(10.0).reshape(5, 2)
     x[2, 1] = torch.nan
     with pytest.raises(DataError, match="NaN"):
         baselines.kalman(x, 30.0, 0.1, 1.0)
-    assert baselines.kalman(x, 30.0, 0.1, 1.0, known=~x.isnan()).isfinite().all()
     with pytest.raises(ShapeError, match="nothing to smooth"):
         baselines.kalman(x[:0], 30.0, 0.1, 1.0)
-    with pytest.raises(ShapeError, match="known"):
-        baselines.kalman(x, 30.0, 0.1, 1.0, known=torch.ones(4))
 
 
 SMOOTHERS = {

@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 
 from data_synth.actions import walk
 from data_synth.subjects import SUBJECTS
-from motionlab import corpus
+from motionlab import checkpoint, corpus
 from motionlab.errors import DataError, MissingData
 from motionlab.io import bvh, recordings
 from motionlab.motion import Motion
@@ -100,8 +100,8 @@ def test_faults_are_cut_and_counted(folder, texts):
     assert len(found.part("test")) == 2 and 0.2 < row.cut["teleport"] < 0.4 and row.recordings == 3
     assert row.kept + sum(row.cut.values()) == pytest.approx(row.seconds)
     assert row.kept == pytest.approx(sum(t.motion.seconds for t in found.takes))
-    with pytest.raises(ValueError, match="train, choose, report, got 'test'"):
-        found.part("test")
+    with pytest.raises(ValueError, match="train, val, test, got 'report'"):
+        found.part("report")
 
 
 def test_another_rate_is_kept_as_such(folder):
@@ -248,7 +248,7 @@ def test_a_kill_leaves_nothing_that_a_later_call_would_read(folder, tmp_path, mo
             load = recordings.SUFFIXES[".bvh"]
             patch.setitem(recordings.SUFFIXES, ".bvh", lambda path: stop() if "b" in path.stem else load(path))
         elif where == "write":
-            patch.setattr(corpus, "write_whole", half_written)
+            patch.setattr(checkpoint, "write_whole", half_written)
         else:
             patch.setattr(Path, "replace", stop)
         assemble(folder)

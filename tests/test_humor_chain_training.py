@@ -26,9 +26,7 @@ from motionlab.humor.state import (
 from motionlab.motion import mirror
 from motionlab.skeleton import STANDARD
 from motionlab.training import chain_training
-from motionlab.training.chain_training import ChainRecipe, ChainTraining
-from motionlab.training.examples import LiveExamples
-from motionlab.training.scales import Scales
+from motionlab.training.chain_training import ChainRecipe, ChainTraining, LiveExamples, Scales
 from tests.draws import seeded
 
 SMALL = ChainRecipe(width=64, steps=8, batch=10, length=3, chain=2, seed=5)

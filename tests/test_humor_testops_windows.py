@@ -33,7 +33,7 @@ def test_stitching_undoes_cutting():
     starts = unknowns.window_starts(37, 16, 4)
     torch.testing.assert_close(unknowns.stitch_windows(unknowns.cut_windows(x, starts, 16), starts), x)
     turns = rotation.random((2, 37, 4), torch.Generator().manual_seed(1))
-    again = unknowns.stitch_windows(unknowns.cut_windows(turns, starts, 16), starts, turns=True)
+    again = unknowns.stitch_windows(unknowns.cut_windows(turns, starts, 16), starts)
     torch.testing.assert_close(again, turns, atol=1e-5, rtol=0)
 
 
@@ -43,7 +43,7 @@ def test_windows_that_disagree_are_blended_evenly():
     x = torch.stack((torch.zeros(1, 6, 1), torch.ones(1, 6, 1)), 1)
     torch.testing.assert_close(unknowns.stitch_windows(x, (0, 2))[0, :, 0], between)
     turns = rotation.rotation_about("z", torch.deg2rad(100 * x))  # (1, 2, 6, 1, 3, 3)
-    found = unknowns.stitch_windows(turns, (0, 2), turns=True)
+    found = unknowns.stitch_windows(turns, (0, 2))
     torch.testing.assert_close(found[0, :, 0], rotation.rotation_about("z", torch.deg2rad(100 * between)))
 
 

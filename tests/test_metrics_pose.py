@@ -18,13 +18,6 @@ def walks(generator: torch.Generator, *shape: int) -> torch.Tensor:
     return torch.randn(*shape, 3, generator=generator, dtype=F64)
 
 
-def test_golden_penetration_of_humor():
-    toes = torch.as_tensor(GOLDEN["metric_pen_joints"])[:, [10, 11]]
-    found = gait.floor_penetration(toes, depths=GOLDEN["metric_pen_thresholds"].tolist())
-    assert (found.frequency * int(GOLDEN["metric_pen_total"])).round().tolist() == GOLDEN["metric_pen_counts"].tolist()
-    torch.testing.assert_close(found.mean_depth_m, torch.as_tensor(GOLDEN["metric_pen_dist"]).mean())
-
-
 def test_golden_acceleration_of_humor():
     joints = np.load(Path(__file__).parent / "golden" / "humor_energies.npz")["world_joints"][0].reshape(-1, 22, 3)
     found = pose.acceleration(torch.as_tensor(joints).double(), 30.0)
@@ -157,11 +150,6 @@ def test_contact_scores_by_hand():
     nothing = gait.contact_scores(0 * predicted, 0 * truth)
     assert torch.stack(nothing[:3]).isnan().all() and nothing.accuracy == 1
     assert gait.contact_scores(0 * predicted, truth).recall == 0
-
-
-def test_above_the_floor_there_is_no_depth():
-    found = gait.floor_penetration(torch.ones(5, 2, 3))
-    assert (found.frequency == 0).all() and found.mean_depth_m.isnan()
 
 
 def test_wrong_shapes_and_names_are_refused(generator):

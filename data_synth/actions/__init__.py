@@ -5,8 +5,6 @@
 Every action begins and ends standing at ease, wherever and whichever way the body then faces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import wraps
 
@@ -18,21 +16,10 @@ from data_synth.score import Score
 from data_synth.subjects import Subject
 
 #: The writers by name: each continues a Score.
-WRITERS: dict[str, Callable[..., None]] = {
-    "walk": locomotion.walk,
-    "run": locomotion.run,
-    "turn": locomotion.turn,
-    "idle": standing.idle,
-    "reach": standing.reach,
-    "wave": standing.wave,
-    "punch": standing.punch,
-    "kick": standing.kick,
-    "sit": seat.sit,
-    "crouch": seat.crouch,
-    "jump": seat.jump,
-    "dance": dance.dance,
-    "floor": floor.floor,
-}
+WRITERS: dict[str, Callable[..., None]] = {write.__name__: write for write in (
+    locomotion.walk, locomotion.run, locomotion.turn, standing.idle, standing.reach, standing.wave, standing.punch,
+    standing.kick, seat.sit, seat.crouch, seat.jump, dance.dance, floor.floor,
+)}  # fmt: skip
 
 
 def _performed(write: Callable[..., None]) -> Callable[..., Take]:

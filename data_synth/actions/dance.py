@@ -1,26 +1,16 @@
 """Dance on a beat: step-touches, bounces, and arm accents that hit fast and hold."""
 
-from __future__ import annotations
-
 from data_synth.actions.gait import OTHER
 from data_synth.actions.standing import ease
 from data_synth.score import SIDES, SIGN, Score
 
 #: Arm shapes to hit: raise, abduct, rotate, elbow of one arm.
 SHAPES = {
-    "down": (0.0, 0.25, 0.1, 0.35),
-    "up": (2.15, 0.20, 0.1, 0.35),
-    "out": (0.15, 1.35, 0.1, 0.25),
-    "ahead": (1.45, 0.10, 0.0, 0.25),
-    "box": (0.30, 1.30, 1.10, 1.50),
-    "chest": (0.70, 0.55, -0.75, 1.95),
-    "hip": (-0.25, 0.65, -0.45, 1.60),
-    "cross": (1.15, -0.10, -0.85, 1.15),
-    "back": (-0.60, 0.30, 0.2, 0.50),
-    "point": (1.8, 0.55, 0.0, 0.20),
-    "open": (0.9, 0.95, 0.3, 0.60),
-    "chin": (0.95, 0.20, -0.1, 2.15),
-}
+    "down": (0.0, 0.25, 0.1, 0.35), "up": (2.15, 0.20, 0.1, 0.35), "out": (0.15, 1.35, 0.1, 0.25),
+    "ahead": (1.45, 0.10, 0.0, 0.25), "box": (0.30, 1.30, 1.10, 1.50), "chest": (0.70, 0.55, -0.75, 1.95),
+    "hip": (-0.25, 0.65, -0.45, 1.60), "cross": (1.15, -0.10, -0.85, 1.15), "back": (-0.60, 0.30, 0.2, 0.50),
+    "point": (1.8, 0.55, 0.0, 0.20), "open": (0.9, 0.95, 0.3, 0.60), "chin": (0.95, 0.20, -0.1, 2.15),
+}  # fmt: skip
 
 
 def dance(score: Score, *, seconds: float = 6.0, tempo: float | None = None) -> None:
@@ -49,7 +39,7 @@ def _accent(score: Score, left: str, right: str, at: float, beat: float) -> None
     fast = score.uniform(0.34, 0.48) * beat + 0.06
     for side, shape in zip(SIDES, (left, right), strict=True):
         raised, abduct, rotate, elbow = (value + score.uniform(-0.06, 0.06) for value in SHAPES[shape])
-        score.arm(side, at - fast, fast, abduct=abduct, rotate=rotate, elbow=max(0.15, elbow), **{"raise": raised})
+        score.limb(side, at - fast, fast, abduct=abduct, rotate=rotate, elbow=max(0.15, elbow), raised=raised)
 
 
 def _groove(score: Score, at: float, beat: float, k: int) -> None:

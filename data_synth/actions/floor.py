@@ -1,7 +1,5 @@
 """Down to the floor: sit down on it, lie back, roll over and over or to the belly, sit up, stand up."""
 
-from __future__ import annotations
-
 import math
 
 from data_synth.actions.kneeling import from_belly, kneel_down, stand_up, to_belly
@@ -43,7 +41,7 @@ def floor(score: Score, *, seconds: float = 2.0, rolls: float | None = None, way
 
 def _legs(score: Score, start: float, duration: float, **to: float) -> None:
     for side in SIDES:
-        score.pose(start, duration, **{f"{side}_{name}": value for name, value in to.items()})
+        score.limb(side, start, duration, **to)
 
 
 def _to_seat(score: Score, down: float) -> None:
@@ -51,13 +49,13 @@ def _to_seat(score: Score, down: float) -> None:
     s, t = score.subject, score.now
     score.pose(t, down, z=0.36 * s.leg + 0.05, surge=-0.36 * s.leg / 0.9, pitch=0.10, flex=0.85, steady=0.7)
     for side in SIDES:
-        score.arm(side, t, down, elbow=0.5, abduct=0.5, rotate=0.0, **{"raise": -0.1})
+        score.limb(side, t, down, elbow=0.5, abduct=0.5, rotate=0.0, raised=-0.1)
         score.move(f"{side}_splay", 0.15, t, down)
-        score.release(f"{side}_ankle", t + 0.2 * down)
+        score.release(side, t + 0.2 * down, "ankle")
         score.move(f"{side}_heel", 0.42, t + 0.2 * down, 0.6 * down)
     t += down
     for side in SIDES:
-        score.release(f"{side}_foot", t)
+        score.release(side, t, "foot")
         score.move(f"{side}_heel", 0.0, t, 0.5)
     # the pose by angles that the blend goes to: seated, knees drawn up
     _legs(score, t - 0.02, 0.02, hip_flex=1.95, knee=1.95, ankle=0.0, hip_abduct=0.1, hip_twist=0.0)
@@ -72,22 +70,20 @@ def _to_back(score: Score, span: float) -> None:
     score.pose(t, span, pitch=-math.pi / 2, flex=0.05, steady=0.0, nod=0.05)
     _legs(score, t + 0.15 * span, span, hip_flex=0.04, knee=0.12, ankle=0.5, hip_abduct=0.08)
     for side in SIDES:
-        score.arm(side, t + 0.3 * span, span, elbow=0.25, abduct=0.45, rotate=0.0, **{"raise": 0.10})
+        score.limb(side, t + 0.3 * span, span, elbow=0.25, abduct=0.45, rotate=0.0, raised=0.10)
         score.move(f"{side}_splay", 0.0, t, span)
     score.now = t + 1.4 * span
 
 
 def _roll(score: Score, rolls: float, left: int) -> None:
-    """Half turns about the long axis, arms at the sides; back again, or on to a whole turn.
-
-    left: 1 where a positive turn carries the body to the left of its heading (head behind), -1 where to the right.
-    """
+    """Half turns about the long axis, arms at the sides; back again, or on to a whole turn. left: 1 where a positive
+    turn carries the body to the left of its heading (head behind), -1 where to the right."""
     if not rolls:
         return
     v, way = score.uniform, 1 if rolls > 0 else -1
     t = score.now
     for side in SIDES:
-        score.arm(side, t, 0.9, abduct=0.06, elbow=0.15, rotate=0.1, **{"raise": 0.06})
+        score.limb(side, t, 0.9, abduct=0.06, elbow=0.15, rotate=0.1, raised=0.06)
     score.now += 0.8
     _legs(score, score.now, 1.0, ankle=0.95)
     turns = [way] * 2 if abs(rolls) > 1 else [way, -way]
@@ -103,7 +99,7 @@ def _roll(score: Score, rolls: float, left: int) -> None:
         score.pulse("twist", turn * 0.25, t, 0.5 * span, 0.6 * span)
         score.now += span + v(0.2, 0.8)
     for side in SIDES:
-        score.arm(side, score.now, 0.9, elbow=0.3, abduct=0.45, rotate=0.0, **{"raise": 0.10})
+        score.limb(side, score.now, 0.9, elbow=0.3, abduct=0.45, rotate=0.0, raised=0.10)
     score.now += 0.9
 
 
@@ -112,7 +108,7 @@ def _sit_up(score: Score, span: float) -> None:
     score.pose(t, span, pitch=-0.15, flex=0.75, nod=0.0)
     _legs(score, t, span, hip_flex=1.95, knee=1.95, ankle=0.0, hip_abduct=0.1)
     for side in SIDES:
-        score.arm(side, t, span, elbow=0.35, abduct=0.3, **{"raise": 0.8})
+        score.limb(side, t, span, elbow=0.35, abduct=0.3, raised=0.8)
     score.now = t + span
 
 
@@ -122,16 +118,16 @@ def _rise(score: Score, up: float) -> None:
     for side in SIDES:
         fx, fy = score.stance(side)
         yaw = score.value["heading"] + SIGN[side] * s.toe_out
-        score.pose(t - 0.5, 0.4, **{f"{side}_foot_x": fx, f"{side}_foot_y": fy, f"{side}_foot_yaw": yaw})
+        score.limb(side, t - 0.5, 0.4, foot_x=fx, foot_y=fy, foot_yaw=yaw)
         score.move(f"{side}_heel", 0.42, t, 0.7)
         score.move(f"{side}_loose", 0.0, t, 0.8)
-        score.plant(f"{side}_foot", t + 1.15)
+        score.plant(side, t + 1.15, "foot")
     score.move("settle", 0.0, t + 0.8, 0.35)
     score.pose(t, 0.8, pitch=0.10, flex=0.8, steady=0.7, z=0.40 * s.leg + 0.05)
     t += 1.15
     for side in SIDES:
         score.move(f"{side}_heel", 0.0, t, 0.7 * up)
-        score.plant(f"{side}_ankle", t + 0.7 * up)
+        score.plant(side, t + 0.7 * up, "ankle")
     score.pose(t, up, z=s.standing, surge=0.0)
     ease(score, t + 0.15 * up, 0.95 * up)
     score.now = t + 1.15 * up

@@ -1,7 +1,5 @@
 """Footfalls and what the body does about them: the machinery of every walk, turn and run."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -122,6 +120,6 @@ def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, 
         swing = on * gait.swing * (1.0 if arm == OTHER[side] else -0.9) * vary
         bend = rest[1] + on * (gait.elbow if arm == OTHER[side] else 0.25 * gait.elbow)
         lag = 0.04 * step_time
-        score.move(f"{arm}_raise", 0.05 + swing, strike - longer + lag, longer)
+        score.move(f"{arm}_raised", 0.05 + swing, strike - longer + lag, longer)
         score.move(f"{arm}_elbow", bend, strike - longer + 3 * lag, longer)
         score.move(f"{arm}_abduct", rest[0] - on * 0.02, strike - longer, longer)

@@ -1,7 +1,5 @@
 """Down to the belly over a knee, both knees and the hands, and up the same way."""
 
-from __future__ import annotations
-
 import math
 
 import torch
@@ -51,15 +49,15 @@ def kneel_down(score: Score) -> None:
     place = score.local(SIGN[front] * HALF, ahead + 0.33 * s.leg / 0.9)
     score.step(front, place, h, t + 0.15, t + 0.70, height=0.06, heel=0.4, toe=0.1, early=0.12)
     x, y = score.local(0.0, ahead)
-    score.release(f"{back}_ankle", t + 0.05)
+    score.release(back, t + 0.05, "ankle")
     score.move(f"{back}_heel", TUCKED, t + 0.05, 0.85)
     score.pose(t + 0.05, 0.5 + 0.7 * down, x=x, y=y)
     score.pose(t, 0.65 + down, z=KNEE + s.length("left_knee") + s.hip_drop, pitch=0.10, flex=0.15)
     for side in SIDES:
-        score.arm(side, t + 0.3, down, elbow=0.6, abduct=0.3, rotate=0.0, **{"raise": 0.35})
+        score.limb(side, t + 0.3, down, elbow=0.6, abduct=0.3, rotate=0.0, raised=0.35)
     t += 0.65 + down
     score.move(f"{back}_kneel", 1.0, t - 0.8 * down, 0.8 * down)
-    score.plant(f"{back}_knee", t)
+    score.plant(back, t, "knee")
     score.move("low", 0.0, t, 0.5)
     _second_knee(score, front, score.local(SIGN[front] * HALF, -knee_ahead(score)), t + 0.1)
 
@@ -67,28 +65,25 @@ def kneel_down(score: Score) -> None:
 def _second_knee(score: Score, side: str, place: tuple[float, float], t: float) -> None:
     """The foot in front goes behind, on its ball, as the knee comes down."""
     span = score.uniform(0.9, 1.2) / score.subject.tempo
-    score.release(f"{side}_ankle", t)
-    score.release(f"{side}_foot", t)
-    score.pose(t, span, **{f"{side}_foot_x": place[0], f"{side}_foot_y": place[1]})
+    score.release(side, t, "ankle", "foot")
+    score.limb(side, t, span, foot_x=place[0], foot_y=place[1])
     score.move(f"{side}_heel", TUCKED, t + 0.3 * span, 0.65 * span)
     score.pulse(f"{side}_lift", 0.11, t, 0.45 * span, 0.55 * span)
     score.move(f"{side}_kneel", 1.0, t + 0.25 * span, 0.5 * span)
-    score.plant(f"{side}_foot", t + span)
-    score.plant(f"{side}_knee", t + span)
+    score.plant(side, t + span, "foot", "knee")
     score.now = t + span
 
 
-def _hands(score: Score, start: float, duration: float, ahead: float) -> None:
+def _hands(score: Score, start: float, duration: float) -> None:
     """Both hands to the floor, in front of where the shoulders will be."""
     h = score.value["heading"]
     for side in SIDES:
         x, y, _ = place_of(score, f"{side}_shoulder")
         out = SIGN[side] * 0.08
-        x, y = x - out * math.cos(h) - ahead * math.sin(h), y - out * math.sin(h) + ahead * math.cos(h)
-        to = {f"{side}_hand_x": x, f"{side}_hand_y": y, f"{side}_hand_z": RADIUS["left_wrist"]}
-        score.pose(start - 0.02, 0.02, **to)
+        x, y = x - out * math.cos(h) - 0.10 * math.sin(h), y - out * math.sin(h) + 0.10 * math.cos(h)
+        score.limb(side, start - 0.02, 0.02, hand_x=x, hand_y=y, hand_z=RADIUS["left_wrist"])
         score.move(f"{side}_grip", 1.0, start, duration)
-        score.plant(f"{side}_wrist", start + duration)
+        score.plant(side, start + duration, "wrist")
 
 
 def to_belly(score: Score) -> None:
@@ -97,66 +92,53 @@ def to_belly(score: Score) -> None:
     t, span = score.now, v(0.9, 1.2) / s.tempo
     score.pose(t, span, **FOURS)
     for side in SIDES:
-        score.arm(side, t, 0.8 * span, elbow=0.9, abduct=0.1, rotate=0.0, **{"raise": 1.35})
-    _hands(score, t + 0.1 + 0.3 * span, 0.7 * span, 0.10)
+        score.limb(side, t, 0.8 * span, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
+    _hands(score, t + 0.1 + 0.3 * span, 0.7 * span)
     t, span = t + 0.1 + span, v(1.1, 1.5) / s.tempo
     x, y = score.local(0.0, 0.96 * s.length("left_knee"))
     score.pose(t, span, x=x, y=y, z=0.14, pitch=math.pi / 2, flex=-0.05, steady=0.0, nod=-0.3)
     t += span
     for side in SIDES:
-        score.release(f"{side}_knee", t)
-        score.release(f"{side}_foot", t)
+        score.release(side, t, "knee", "foot")
     score.move("settle", 1.0, t, 0.35)
     t += 0.25
     for side in SIDES:
-        to = {"hip_flex": 0.03, "knee": 0.08, "ankle": 1.05, "hip_abduct": 0.06, "hip_twist": 0.0}
-        score.pose(t - 0.02, 0.02, **{f"{side}_{name}": value for name, value in to.items()})
-        score.pose(t, 0.9, **{f"{side}_loose": 1.0, f"{side}_kneel": 0.0})
-        score.arm(side, t - 0.3, 0.7, elbow=0.3, abduct=0.4, rotate=0.0, **{"raise": -0.45})
-        score.release(f"{side}_wrist", t + 0.4)
+        score.limb(side, t - 0.02, 0.02, hip_flex=0.03, knee=0.08, ankle=1.05, hip_abduct=0.06, hip_twist=0.0)
+        score.limb(side, t, 0.9, loose=1.0, kneel=0.0)
+        score.limb(side, t - 0.3, 0.7, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
+        score.release(side, t + 0.4, "wrist")
         score.move(f"{side}_grip", 0.0, t + 0.4, 1.0)
-        score.arm(side, t + 1.2, 0.6, **{"raise": -0.05})
+        score.limb(side, t + 1.2, 0.6, raised=-0.05)
     score.now = t + 1.8
 
 
 def from_belly(score: Score) -> None:
     """Hands beside the chest, toes tucked, push up to all fours, sit up on the knees."""
-    s, v = score.subject, score.uniform
-    t, h = score.now, score.value["heading"]
+    s, v, t = score.subject, score.uniform, score.now
     knee = s.length("left_knee")
     for side in SIDES:
         x, y = score.local(SIGN[side] * HALF, -0.96 * knee - knee_ahead(score))
-        to = {"foot_x": x, "foot_y": y, "foot_yaw": h, "heel": TUCKED}
-        score.pose(t - 0.02, 0.02, **{f"{side}_{name}": value for name, value in to.items()})
-        score.pose(t, 0.9, **{f"{side}_loose": 0.0, f"{side}_kneel": 1.0})
-        score.plant(f"{side}_knee", t + 1.25)
-        score.plant(f"{side}_foot", t + 1.25)
+        score.limb(side, t - 0.02, 0.02, foot_x=x, foot_y=y, foot_yaw=score.value["heading"], heel=TUCKED)
+        score.limb(side, t, 0.9, loose=0.0, kneel=1.0)
+        score.plant(side, t + 1.25, "knee", "foot")
     score.pose(t, 0.8, z=0.14)
     score.move("settle", 0.0, t + 0.9, 0.35)
     for side in SIDES:
-        score.arm(side, t - 0.2, 0.5, elbow=0.3, abduct=0.4, rotate=0.0, **{"raise": -0.45})
-        score.arm(side, t + 1.1, 0.9, elbow=0.9, abduct=0.1, rotate=0.0, **{"raise": 1.35})
+        score.limb(side, t - 0.2, 0.5, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
+        score.limb(side, t + 1.1, 0.9, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
     was = dict(score.value)
     x, y = score.local(0.0, -0.96 * knee)
     up = {"x": x, "y": y, "z": KNEE + knee + s.hip_drop, **FOURS}
     score.value |= up
-    places = {side: place_of(score, f"{side}_shoulder") for side in SIDES}
+    _hands(score, t + 0.25, 0.85)
     score.value |= {name: was[name] for name in up}
-    for side in SIDES:
-        out = SIGN[side] * 0.08
-        x, y, _ = places[side]
-        x, y = x - out * math.cos(h) - 0.10 * math.sin(h), y - out * math.sin(h) + 0.10 * math.cos(h)
-        to = {f"{side}_hand_x": x, f"{side}_hand_y": y, f"{side}_hand_z": RADIUS["left_wrist"]}
-        score.pose(t - 0.02, 0.02, **to)
-        score.move(f"{side}_grip", 1.0, t + 0.25, 0.85)
-        score.plant(f"{side}_wrist", t + 1.1)
     t, span = t + 1.25, v(1.1, 1.5) / s.tempo
     score.pose(t, span, **up)
     t, span = t + span, v(0.8, 1.1) / s.tempo
     for side in SIDES:
-        score.release(f"{side}_wrist", t)
+        score.release(side, t, "wrist")
         score.move(f"{side}_grip", 0.0, t, 0.6 * span)
-        score.arm(side, t + 0.2 * span, span, elbow=0.5, abduct=0.25, **{"raise": 0.3})
+        score.limb(side, t + 0.2 * span, span, elbow=0.5, abduct=0.25, raised=0.3)
     score.pose(t + 0.15 * span, span, pitch=0.08, flex=0.12, steady=0.8, nod=0.0)
     score.now = t + 1.2 * span
 
@@ -168,35 +150,28 @@ def stand_up(score: Score) -> None:
     front = score.choose(SIDES)
     back = OTHER[front]
     x, y = score.local(SIGN[front] * HALF, 0.33 * s.leg / 0.9)
-    score.release(f"{front}_knee", t)
-    score.release(f"{front}_foot", t)
+    score.release(front, t, "knee", "foot")
     score.move(f"{front}_kneel", 0.0, t + 0.2 * span, 0.5 * span)
-    score.pose(t, span, **{f"{front}_foot_x": x, f"{front}_foot_y": y})
+    score.limb(front, t, span, foot_x=x, foot_y=y)
     score.move(f"{front}_heel", 0.0, t + 0.05 * span, 0.65 * span)
     score.pulse(f"{front}_lift", 0.11, t, 0.55 * span, 0.45 * span)
-    score.plant(f"{front}_ankle", t + span)
-    score.plant(f"{front}_foot", t + span)
+    score.plant(front, t + span, "ankle", "foot")
     score.move("low", 1.0, t, span)
     score.move("low", 0.0, t + span + 0.8 * up, 0.7 * up)
     t += span
     x, y = score.local(0.0, 0.33 * s.leg / 0.9 + 0.035)
-    score.release(f"{back}_knee", t)
+    score.release(back, t, "knee")
     score.move(f"{back}_kneel", 0.0, t, 0.5 * up)
     score.pose(t, 1.05 * up, x=x, y=y)
     score.pose(t, 0.5 * up, pitch=0.45, flex=0.25)
     score.move("z", s.standing - 0.02, t + 0.12 * up, up)
     lift, land = t + 0.5 * up, t + 1.1 * up
-    at = {"x": x, "y": y}
-    was = {name: score.value[name] for name in at}
-    score.value |= at
     x, y = score.stance(back)
-    score.value |= was
-    score.release(f"{back}_foot", lift)
-    score.pose(lift, land - lift, **{f"{back}_foot_x": x, f"{back}_foot_y": y})
+    score.release(back, lift, "foot")
+    score.limb(back, lift, land - lift, foot_x=x, foot_y=y)
     score.nudge(f"{back}_foot_yaw", SIGN[back] * s.toe_out, lift, land - lift)
     score.move(f"{back}_heel", 0.0, lift, 0.9 * (land - lift))
     score.pulse(f"{back}_lift", 0.06, lift, 0.45 * (land - lift), 0.55 * (land - lift))
-    score.plant(f"{back}_foot", land)
-    score.plant(f"{back}_ankle", land)
+    score.plant(back, land, "foot", "ankle")
     ease(score, t + 0.6 * up, 0.8 * up)
     score.now = t + 1.5 * up

@@ -1,9 +1,8 @@
 """Getting about: walking, running, turning on the spot."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
+from itertools import accumulate
 
 from data_synth.actions.gait import OTHER, Gait, tread
 from data_synth.actions.standing import ease
@@ -24,36 +23,20 @@ def walking_gait(score: Score, speed: float) -> tuple[float, float, Gait]:
     length = math.sqrt(60 * speed * ratio)
     brisk = speed / 1.3
     gait = Gait(
-        duty=min(0.60, 0.60 - 0.045 * speed),
-        width=s.step_width,
-        clearance=0.050 + 0.015 * brisk,
-        heel=0.95 + 0.20 * brisk,
-        toe=0.12 + 0.18 * brisk,
-        bob=0.017 * brisk**1.2 * s.bounce,
-        sway=0.020 / (0.6 + 0.4 * brisk),
-        yaw=0.10 * brisk * s.twist,
-        twist=0.13 * brisk * s.twist,
-        tilt=0.045 * brisk,
-        swing=0.42 * brisk * s.arm_swing,
-        elbow=0.28 * brisk * s.arm_swing,
-        drop=0.012 + 0.020 * brisk**2,
+        duty=min(0.60, 0.60 - 0.045 * speed), width=s.step_width, clearance=0.050 + 0.015 * brisk,
+        heel=0.95 + 0.20 * brisk, toe=0.12 + 0.18 * brisk, bob=0.017 * brisk**1.2 * s.bounce,
+        sway=0.020 / (0.6 + 0.4 * brisk), yaw=0.10 * brisk * s.twist, twist=0.13 * brisk * s.twist, tilt=0.045 * brisk,
+        swing=0.42 * brisk * s.arm_swing, elbow=0.28 * brisk * s.arm_swing, drop=0.012 + 0.020 * brisk**2,
         lean=s.lean + 0.03 * (brisk - 1),
-    )
+    )  # fmt: skip
     return length, length / speed, gait
 
 
 def walk(
-    score: Score,
-    *,
-    seconds: float = 4.0,
-    speed: float | None = None,
-    turn: float = 0.0,
-    manner: str | None = None,
-) -> None:
+    score: Score, *, seconds: float = 4.0, speed: float | None = None, turn: float = 0.0, manner: str | None = None,
+) -> None:  # fmt: skip
     """Walk for about ``seconds`` at ``speed`` m/s (drawn if None) while the heading changes by ``turn`` radians.
-
-    manner: None, or one of MANNERS; people who step backwards or sideways keep to about half the speed.
-    """
+    manner: None, or one of MANNERS; people who step backwards or sideways keep to about half the speed."""
     speed = score.uniform(0.8, 1.6) if speed is None else speed
     with score.action("walk"):
         length, step_time, gait = walking_gait(score, speed)
@@ -96,16 +79,24 @@ def styled(score: Score, gait: Gait, manner: str | None) -> Gait:
 
 def _path(score: Score, length: float, turn: float, steps: int) -> tuple[list[tuple[float, float]], list[float]]:
     """Places and headings of the footfalls: a first half step, full steps along an arc, and a step to close."""
+    begun = score.value["heading"]
+    shares = [
+        0.72 if k == 0 else 0.9 if k == steps - 1 and steps > 2 else score.uniform(0.96, 1.04) for k in range(steps)
+    ]
+    headings = [begun + turn * (k + 1) / steps for k in range(steps)]
+    centres = _along(score, [share * length for share in shares], headings)
+    return [*centres, centres[-1]], [*headings, headings[-1]]
+
+
+def _along(score: Score, ways: list[float], headings: list[float]) -> list[tuple[float, float]]:
+    """Places that steps of so many metres lead to, each half in the old heading and half in the new."""
     x, y, heading = (score.value[name] for name in ("x", "y", "heading"))
-    centres, headings = [], []
-    for k in range(steps):
-        new = score.value["heading"] + turn * (k + 1) / steps
-        way = (0.72 if k == 0 else 0.9 if k == steps - 1 and steps > 2 else score.uniform(0.96, 1.04)) * length
+    places = []
+    for way, new in zip(ways, headings, strict=True):
         middle = (heading + new) / 2
         x, y, heading = x - way * math.sin(middle), y + way * math.cos(middle), new
-        centres.append((x, y))
-        headings.append(heading)
-    return [*centres, centres[-1]], [*headings, heading]
+        places.append((x, y))
+    return places
 
 
 def _sidesteps(score: Score, way: float, steps: int) -> tuple[list[tuple[float, float]], list[float]]:
@@ -147,7 +138,8 @@ def run(score: Score, *, seconds: float = 4.5, speed: float | None = None, turn:
         stance = step_time - flight  # of a step: the other foot is in the air throughout
         count = max(6, round((seconds - 1.5) / step_time))
         ways = [0.4, 0.75] + [1.0] * (count - 4) + [0.75, 0.4]
-        places, headings = _run_path(score, [w * speed * step_time for w in ways], turn)
+        headings = list(accumulate([turn / count] * count, initial=score.value["heading"]))[1:]
+        places = _along(score, [w * speed * step_time for w in ways], headings)
         first = score.choose(("left", "right"))
         strikes = [score.now + 0.75 + k * step_time for k in range(count)]
         _run_height(score, strikes, stance, flight)
@@ -163,18 +155,6 @@ def run(score: Score, *, seconds: float = 4.5, speed: float | None = None, turn:
         score.step(side, (x, y), yaw, lift, stop, height=0.10, heel=0.9, early=0.6 * stance)
         ease(score, strikes[-1] + 0.25, 0.8)
         score.now = strikes[-1] + 1.1
-
-
-def _run_path(score: Score, ways: list[float], turn: float) -> tuple[list[tuple[float, float]], list[float]]:
-    x, y, heading = (score.value[name] for name in ("x", "y", "heading"))
-    places, headings = [], []
-    for way in ways:
-        new = heading + turn / len(ways)
-        middle = (heading + new) / 2
-        x, y, heading = x - way * math.sin(middle), y + way * math.cos(middle), new
-        places.append((x, y))
-        headings.append(heading)
-    return places, headings
 
 
 def _run_height(score: Score, strikes: list[float], stance: float, flight: float) -> None:
@@ -218,7 +198,7 @@ def _run_step(score, side, strike, stance, flight, place, heading, way) -> None:
     for arm in ("left", "right"):
         out = 1 if arm == OTHER[side] else -1
         swung = 0.05 + out * (0.62 if out > 0 else 0.68) * s.arm_swing**0.5 * (0.4 + 0.6 * way)
-        score.arm(
+        score.limb(
             arm, middle - 1.1 * step_time, 1.1 * step_time, elbow=1.5 + 0.40 * out, abduct=0.28, rotate=-0.25,
-            **{"raise": swung},
+            raised=swung,
         )  # fmt: skip

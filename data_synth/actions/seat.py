@@ -1,7 +1,5 @@
 """Down and up again with both feet on the floor: sit on a chair, crouch, jump."""
 
-from __future__ import annotations
-
 import math
 
 from data_synth.actions.standing import ease
@@ -27,7 +25,7 @@ def sit(score: Score, *, seat: float | None = None, seconds: float = 3.0) -> Non
         score.pose(t, 0.75 * down, pitch=v(0.40, 0.55), flex=v(0.25, 0.40), steady=0.75)
         score.pose(t + 0.10 * down, 0.9 * down, z=seat + 0.09, surge=0.02 - back)
         for side in SIDES:
-            score.arm(side, t, 0.7 * down, elbow=0.45, abduct=0.25, **{"raise": v(0.25, 0.8)})
+            score.limb(side, t, 0.7 * down, elbow=0.45, abduct=0.25, raised=v(0.25, 0.8))
             score.move(f"{side}_splay", v(0.0, 0.15), t, down)
         score.pose(t + 0.65 * down, 0.7 * down, pitch=v(-0.15, 0.0), flex=v(0.1, 0.25), steady=0.9)
         _hands_on_lap(score, t + 0.6 * down, 0.7 * down)
@@ -42,7 +40,7 @@ def sit(score: Score, *, seat: float | None = None, seconds: float = 3.0) -> Non
             score.pose(score.now, 0.8 * span, twist=v(-0.15, 0.15), bend=v(-0.08, 0.08), cock=v(-0.1, 0.1))
             if score.chance(0.4):
                 side = score.choose(SIDES)
-                score.arm(side, score.now, 0.5, elbow=v(1.2, 2.1), rotate=v(-0.4, 0.2), **{"raise": v(0.3, 1.0)})
+                score.limb(side, score.now, 0.5, elbow=v(1.2, 2.1), rotate=v(-0.4, 0.2), raised=v(0.3, 1.0))
             else:
                 _hands_on_lap(score, score.now, 0.7)
             score.now += span
@@ -50,7 +48,7 @@ def sit(score: Score, *, seat: float | None = None, seconds: float = 3.0) -> Non
         t = score.now
         score.pose(t, 0.6 * up, pitch=v(0.55, 0.70), flex=v(0.25, 0.4), twist=0, bend=0, turn=0, steady=0.7)
         for side in SIDES:
-            score.arm(side, t, 0.6 * up, elbow=0.5, abduct=0.2, rotate=0.0, **{"raise": v(0.4, 0.8)})
+            score.limb(side, t, 0.6 * up, elbow=0.5, abduct=0.2, rotate=0.0, raised=v(0.4, 0.8))
             score.move(f"{side}_splay", 0.0, t + 0.3 * up, up)
         score.pose(t + 0.35 * up, 0.9 * up, z=s.standing, surge=0)
         ease(score, t + 0.6 * up, 0.75 * up)
@@ -60,8 +58,8 @@ def sit(score: Score, *, seat: float | None = None, seconds: float = 3.0) -> Non
 def _hands_on_lap(score: Score, start: float, duration: float) -> None:
     v = score.uniform
     for side in SIDES:
-        pose = {"raise": v(0.30, 0.45), "abduct": v(0.10, 0.2), "rotate": v(-0.45, -0.15), "elbow": v(1.0, 1.25)}
-        score.arm(side, start, duration, pronate=0.6, **pose)
+        pose = {"raised": v(0.30, 0.45), "abduct": v(0.10, 0.2), "rotate": v(-0.45, -0.15), "elbow": v(1.0, 1.25)}
+        score.limb(side, start, duration, pronate=0.6, **pose)
 
 
 def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) -> None:
@@ -75,26 +73,24 @@ def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) ->
         score.pose(t, down, z=s.standing - depth * s.leg + 0.09 * rise, surge=-0.20 * depth + 0.10 * rise)
         score.pose(t, down, pitch=0.8 * lean, flex=0.5 * lean, steady=0.8, nod=v(0.0, 0.4))
         for side in SIDES:
-            score.arm(
-                side, t, down, elbow=v(0.4, 1.2), abduct=v(0.1, 0.3), rotate=v(-0.3, 0.1), **{"raise": v(0.7, 1.2)}
-            )
+            score.limb(side, t, down, elbow=v(0.4, 1.2), abduct=v(0.1, 0.3), rotate=v(-0.3, 0.1), raised=v(0.7, 1.2))
             score.move(f"{side}_splay", v(0.1, 0.3), t, down)
             if rise:
-                score.release(f"{side}_ankle", t + 0.25 * down)
+                score.release(side, t + 0.25 * down, "ankle")
                 score.move(f"{side}_heel", rise, t + 0.25 * down, 0.75 * down)
         if score.chance(0.6):  # pick something up
             side = score.choose(SIDES)
             low = t + down - 0.2
-            score.arm(side, low, 0.5, elbow=0.15, rotate=0.0, **{"raise": 0.9})
+            score.limb(side, low, 0.5, elbow=0.15, rotate=0.0, raised=0.9)
             score.pulse("twist", -SIGN[side] * 0.25, low, 0.5, 0.5)
-            score.arm(side, low + 0.6, 0.6, elbow=1.3, **{"raise": 0.8})
+            score.limb(side, low + 0.6, 0.6, elbow=1.3, raised=0.8)
         score.now += down + seconds
         t = score.now
         for side in SIDES:
             score.move(f"{side}_splay", 0.0, t, up)
             if rise:
                 score.move(f"{side}_heel", 0.0, t, 0.7 * up)
-                score.plant(f"{side}_ankle", t + 0.7 * up)
+                score.plant(side, t + 0.7 * up, "ankle")
         ease(score, t, 1.1 * up)
         score.now += 1.15 * up
 
@@ -102,10 +98,8 @@ def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) ->
 def jump(
     score: Score, *, height: float | None = None, distance: float | None = None, spin: float | None = None
 ) -> None:
-    """Jump off both feet: ``height`` metres of flight, ``distance`` metres ahead, ``spin`` radians on the way.
-
-    Crouch, extend, fly as gravity has it (z'' = -g between take-off and landing), absorb.
-    """
+    """Jump off both feet: ``height`` metres of flight, ``distance`` metres ahead, ``spin`` radians on the way. Crouch,
+    extend, fly as gravity has it (z'' = -g between take-off and landing), absorb."""
     s, v = score.subject, score.uniform
     height = v(0.10, 0.32) if height is None else height
     distance = score.choose((0.0, v(0.1, 0.6))) if distance is None else distance
@@ -126,9 +120,9 @@ def jump(
         score.pulse("air", 1.0, off - 0.10, 0.12, 0.12, flight - 0.04)
         for side in SIDES:
             _leap(score, side, spin, off, land, speed, flight)
-            score.arm(side, t, sink, elbow=0.25, abduct=0.2, rotate=0.0, **{"raise": -0.75})
-            score.arm(side, t + sink - 0.02, push + 0.08, elbow=0.6, **{"raise": v(1.2, 2.2)})
-            score.arm(side, off + 0.5 * flight, 0.5 * flight + give, elbow=0.5, abduct=0.35, **{"raise": 0.5})
+            score.limb(side, t, sink, elbow=0.25, abduct=0.2, rotate=0.0, raised=-0.75)
+            score.limb(side, t + sink - 0.02, push + 0.08, elbow=0.6, raised=v(1.2, 2.2))
+            score.limb(side, off + 0.5 * flight, 0.5 * flight + give, elbow=0.5, abduct=0.35, raised=0.5)
         score.pose(t, sink, pitch=0.50, flex=0.28, surge=-0.22, steady=0.85)
         score.pose(t + sink, push, pitch=0.03, flex=-0.02, surge=0)
         score.pose(land - 0.12, give + 0.12, pitch=0.34, flex=0.22, surge=-0.19)
@@ -149,8 +143,8 @@ def _leap(score: Score, side: str, spin: float, off: float, land: float, speed: 
     """One foot of a jump: roll up on the ball, follow the body through the air, land on the ball, set the heel down."""
     catch = min(0.09, 0.3 * flight)
     v1, y1 = speed - GRAVITY * catch, 0.42 * speed * catch
-    score.release(f"{side}_ankle", off - 0.26)
-    score.release(f"{side}_foot", off)
+    score.release(side, off - 0.26, "ankle")
+    score.release(side, off, "foot")
     tuck = score.uniform(0.0, 0.10)
     score.knots(f"{side}_lift", [
         (off, 0, 0, 0), (off + catch, y1, v1, -GRAVITY), (land - catch, y1, -v1, -GRAVITY), (land, 0, 0, 0)
@@ -159,7 +153,7 @@ def _leap(score: Score, side: str, spin: float, off: float, land: float, speed: 
     score.pulse(f"{side}_heel", 0.75, off - 0.26, 0.26 + 0.4 * catch, 0.14, flight - 0.4 * catch)
     score.pulse(f"{side}_heel", 0.35, off - 0.05, 0.05 + catch, 0.5 * flight)
     x, y = score.stance(side)
-    score.pose(off, flight, **{f"{side}_foot_x": x, f"{side}_foot_y": y})
+    score.limb(side, off, flight, foot_x=x, foot_y=y)
     score.nudge(f"{side}_foot_yaw", spin, off, flight)
-    score.plant(f"{side}_foot", land)
-    score.plant(f"{side}_ankle", land + 0.14)
+    score.plant(side, land, "foot")
+    score.plant(side, land + 0.14, "ankle")

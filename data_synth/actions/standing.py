@@ -1,7 +1,5 @@
 """What people do with their arms, and one leg, while they stand: idle, reach, wave, punch, kick."""
 
-from __future__ import annotations
-
 from data_synth.actions.gait import OTHER
 from data_synth.score import SIDES, SIGN, Score
 
@@ -14,7 +12,7 @@ def ease(score: Score, start: float, duration: float) -> None:
         bend=0, twist=0, nod=0, turn=0, cock=0, steady=1,
     )  # fmt: skip
     for side in SIDES:
-        score.arm(side, start, duration, shrug=0, **score.arm_at_ease())
+        score.limb(side, start, duration, shrug=0, **score.arm_at_ease())
 
 
 def lean_on(score: Score, side: str, start: float, duration: float, amount: float = 0.045) -> None:
@@ -58,11 +56,11 @@ def _fidget(score: Score, side: str, start: float, duration: float) -> None:
     v = score.uniform
     pose = score.choose((
         score.arm_at_ease(),
-        {"raise": v(-0.3, -0.1), "abduct": v(0.55, 0.7), "rotate": v(-0.5, -0.3), "elbow": v(1.5, 1.75)},  # on the hip
-        {"raise": v(0.45, 0.65), "abduct": v(0.05, 0.12), "rotate": v(-0.7, -0.5), "elbow": v(1.4, 1.7)},  # folded
-        {"raise": v(0.9, 1.1), "abduct": v(0.10, 0.25), "rotate": v(-0.2, 0.1), "elbow": v(2.1, 2.3)},  # to the chin
+        {"raised": v(-0.3, -0.1), "abduct": v(0.55, 0.7), "rotate": v(-0.5, -0.3), "elbow": v(1.5, 1.75)},  # on the hip
+        {"raised": v(0.45, 0.65), "abduct": v(0.05, 0.12), "rotate": v(-0.7, -0.5), "elbow": v(1.4, 1.7)},  # folded
+        {"raised": v(0.9, 1.1), "abduct": v(0.10, 0.25), "rotate": v(-0.2, 0.1), "elbow": v(2.1, 2.3)},  # to the chin
     ))  # fmt: skip
-    score.arm(side, start, duration, **pose)
+    score.limb(side, start, duration, **pose)
 
 
 def reach(score: Score, *, times: int = 2) -> None:
@@ -76,9 +74,9 @@ def reach(score: Score, *, times: int = 2) -> None:
             across = 0.0 if both else v(-0.35, 0.9)
             start = score.now
             for arm in SIDES if both else (side,):
-                score.arm(
+                score.limb(
                     arm, start, go, rotate=v(-0.2, 0.1), elbow=v(0.15, 0.5), pronate=v(-0.3, 0.6),
-                    abduct=across if arm == side and not both else v(0.0, 0.2), **{"raise": 1.30 + 0.72 * height},
+                    abduct=across if arm == side and not both else v(0.0, 0.2), raised=1.30 + 0.72 * height,
                 )  # fmt: skip
             deep = max(0.0, -height) + v(0.0, 0.3)
             score.pose(
@@ -97,15 +95,13 @@ def wave(score: Score, *, times: int | None = None) -> None:
         times = int(v(3, 6)) if times is None else times
         abduct, rotate, elbow = v(0.9, 1.5), v(1.0, 1.25), v(1.3, 1.8)
         raising, beat, size = v(0.45, 0.7) / fast, v(0.20, 0.28) / fast, v(0.22, 0.5)
-        score.arm(
-            side, score.now, raising, abduct=abduct, rotate=rotate, elbow=elbow, pronate=-0.4, **{"raise": v(0, 0.4)}
-        )
+        score.limb(side, score.now, raising, abduct=abduct, rotate=rotate, elbow=elbow, pronate=-0.4, raised=v(0, 0.4))
         lean_on(score, OTHER[side], score.now, raising, 0.03)
         score.pose(score.now, raising, turn=SIGN[side] * v(-0.2, 0.4), cock=v(-0.1, 0.1))
         score.now += 0.85 * raising
         for k in range(2 * times):
             out = 1 if k % 2 else -1
-            score.arm(side, score.now, 1.2 * beat, elbow=elbow + out * size, abduct=abduct + 0.15 * out * size)
+            score.limb(side, score.now, 1.2 * beat, elbow=elbow + out * size, abduct=abduct + 0.15 * out * size)
             score.nudge("bend", 0.02 * out, score.now, 1.2 * beat)
             score.now += beat
         ease(score, score.now, v(0.7, 0.9) / fast)
@@ -116,20 +112,13 @@ def guard(score: Score, lead: str, start: float, duration: float) -> None:
     """A fighter's stance: one foot back, knees soft, fists before the face."""
     back = OTHER[lead]
     restep(score, back, -0.32, 0.04, start + 0.15, 0.4)
-    score.pose(
-        start,
-        duration,
-        surge=-0.165,
-        z=score.subject.standing - 0.055 * score.subject.leg / 0.9,
-        pitch=0.10,
-        flex=0.18,
-        steady=0.9,
-    )
+    z = score.subject.standing - 0.055 * score.subject.leg / 0.9
+    score.pose(start, duration, surge=-0.165, z=z, pitch=0.10, flex=0.18, steady=0.9)
     score.pose(start, duration, yaw=SIGN[back] * 0.30, twist=SIGN[back] * 0.05)
     for side in SIDES:
         ahead = 0.15 if side == lead else 0.0
-        score.arm(
-            side, start, duration, abduct=0.22, rotate=-0.25, elbow=2.05 - ahead, pronate=0.3, **{"raise": 0.75 + ahead}
+        score.limb(
+            side, start, duration, abduct=0.22, rotate=-0.25, elbow=2.05 - ahead, pronate=0.3, raised=0.75 + ahead
         )
 
 
@@ -149,7 +138,7 @@ def bounce(score: Score, start: float, stop: float) -> None:
         score.pulse("sway", side * score.uniform(0.0, 0.035), start, 1.3 * down, 1.3 * up)
         score.pulse("surge", score.uniform(-0.03, 0.015), start, 1.3 * down, 1.3 * up)
         for arm in SIDES:
-            score.pulse(f"{arm}_raise", score.uniform(-0.10, 0.06), start + 0.04, down, up)
+            score.pulse(f"{arm}_raised", score.uniform(-0.10, 0.06), start + 0.04, down, up)
         start += down + up - 0.02
         side = -side
 
@@ -175,23 +164,24 @@ def punch(score: Score, *, times: int | None = None) -> None:
                 advance(score, lead, v(-0.14, 0.14), score.now + 0.05)
                 score.now += v(0.5, 0.9)
             sign, out, back = SIGN[side], v(0.17, 0.24) / score.subject.tempo, v(0.28, 0.4)
-            was = {name: score.value[f"{side}_{name}"] for name in ("raise", "abduct", "rotate", "elbow", "shrug")}
+            was = {name: score.value[f"{side}_{name}"] for name in ("raised", "abduct", "rotate", "elbow", "shrug")}
             hook = score.chance(0.3)
-            to = {"raise": v(1.35, 1.6), "abduct": v(-0.12, 0.05), "rotate": -0.3, "elbow": v(0.12, 0.3), "shrug": 0.12}
+            to = {
+                "raised": v(1.35, 1.6),
+                "abduct": v(-0.12, 0.05),
+                "rotate": -0.3,
+                "elbow": v(0.12, 0.3),
+                "shrug": 0.12,
+            }
             if hook:
-                to = {
-                    "raise": v(1.0, 1.2),
-                    "abduct": v(0.7, 0.9),
-                    "rotate": v(-1.2, -0.9),
-                    "elbow": v(1.35, 1.6),
-                    "shrug": 0.1,
-                }
+                to = {"raised": v(1.0, 1.2), "abduct": v(0.7, 0.9), "rotate": v(-1.2, -0.9), "elbow": v(1.35, 1.6)}
+                to["shrug"] = 0.1
             turn = (0.40 if side == lead else 0.65) * (1.2 if hook else 1.0)
-            score.arm(side, score.now, out, **to)
+            score.limb(side, score.now, out, **to)
             score.pulse("twist", -sign * turn, score.now - 0.05, out, 1.1 * back)
             score.pulse("yaw", -sign * 0.55 * turn, score.now - 0.09, out, 1.1 * back)
             score.pulse("surge", v(0.04, 0.07), score.now - 0.05, 1.2 * out, back)
-            score.arm(side, score.now + out, back, **was)
+            score.limb(side, score.now + out, back, **was)
             score.now += out + v(0.75, 1.3) * back
             side = OTHER[side] if score.chance(0.65) else side
         bounce(score, begin, score.now)
@@ -209,38 +199,26 @@ def kick(score: Score, *, times: int = 1) -> None:
             start, high, wide = score.now, v(1.3, 1.8), v(0.0, 0.45)
             lean_on(score, stance, start, 0.5, 0.075)
             for arm in SIDES:
-                score.arm(arm, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, **{"raise": 0.5})
+                score.limb(arm, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, raised=0.5)
             up = start + 0.45
-            score.release(f"{side}_ankle", up - 0.15)
+            score.release(side, up - 0.15, "ankle")
             score.pulse(f"{side}_heel", 0.5, up - 0.15, 0.22, 0.3)
-            score.release(f"{side}_foot", up)
-            score.pose(up - 0.1, 0.01 + 0.0, **{f"{side}_hip_flex": 0.35, f"{side}_knee": 0.75, f"{side}_ankle": 0.25})
+            score.release(side, up, "foot")
+            score.limb(side, up - 0.1, 0.01, hip_flex=0.35, knee=0.75, ankle=0.25)
             chamber, snap, fold, down = 0.34, v(0.19, 0.24), v(0.22, 0.28), 0.42
             score.pulse(f"{side}_loose", 1.0, up, 0.8 * chamber, down, 0.2 * chamber + snap + fold)
             score.pulse(f"{side}_lift", 0.17, up, 0.15, down, chamber + snap + fold - 0.15)
-            leg = {
-                f"{side}_hip_flex": 0.85 * high,
-                f"{side}_knee": v(1.5, 1.8),
-                f"{side}_hip_abduct": wide,
-                f"{side}_ankle": 0.5,
-            }
-            score.pose(up, chamber, **leg)
-            score.pose(
-                up + chamber, snap, **{f"{side}_hip_flex": high, f"{side}_knee": v(0.15, 0.3), f"{side}_ankle": 0.7}
-            )
-            score.pose(up + chamber + snap, fold, **{f"{side}_hip_flex": 0.8 * high, f"{side}_knee": 1.5})
-            score.pose(
-                up + chamber + snap + fold, down,
-                **{f"{side}_hip_flex": 0.2, f"{side}_knee": 0.4, f"{side}_hip_abduct": 0.0, f"{side}_ankle": 0.0},
-            )  # fmt: skip
+            score.limb(side, up, chamber, hip_flex=0.85 * high, knee=v(1.5, 1.8), hip_abduct=wide, ankle=0.5)
+            score.limb(side, up + chamber, snap, hip_flex=high, knee=v(0.15, 0.3), ankle=0.7)
+            score.limb(side, up + chamber + snap, fold, hip_flex=0.8 * high, knee=1.5)
+            score.limb(side, up + chamber + snap + fold, down, hip_flex=0.2, knee=0.4, hip_abduct=0.0, ankle=0.0)
             score.pulse("pitch", -0.16 * high, up, chamber + snap, fold + down)
             score.pulse("flex", 0.10, up, chamber + snap, fold + down)
             score.pulse("yaw", -sign * 0.25, up + 0.1, chamber + snap, fold + down)
             score.pulse("twist", sign * 0.3, up + 0.1, chamber + snap, fold + down)
-            score.arm(stance, up, chamber + snap, elbow=1.1, abduct=0.5)
-            score.arm(side, up, chamber + snap, elbow=0.9, abduct=0.4, **{"raise": -0.3})
+            score.limb(stance, up, chamber + snap, elbow=1.1, abduct=0.5)
+            score.limb(side, up, chamber + snap, elbow=0.9, abduct=0.4, raised=-0.3)
             land = up + chamber + snap + fold + down
-            score.plant(f"{side}_ankle", land)
-            score.plant(f"{side}_foot", land)
+            score.plant(side, land, "ankle", "foot")
             ease(score, land - 0.15, 0.8)
             score.now = land + 0.7

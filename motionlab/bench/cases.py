@@ -6,8 +6,6 @@ rotations, then the root's place, then the contacts (``masks.units``). The root'
 Source: thesis 4.2.1. Differs: numbers instead of looking.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -99,12 +97,9 @@ def error_cm(made: Motion, truth: Motion, known: Tensor, joints: tuple[str, ...]
 
 
 def chosen(
-    options: Sequence[T],
-    make: Callable[[T], Motion],
-    truth: Motion,
-    known: Tensor | None = None,
+    options: Sequence[T], make: Callable[[T], Motion], truth: Motion, known: Tensor | None = None,
     joints: tuple[str, ...] | None = None,
-) -> T:
+) -> T:  # fmt: skip
     """The option that leaves the least error, on windows that settings are chosen on; known None: nothing is known."""
     hidden = torch.zeros(*truth.root.shape[:2], JOINTS + 2, dtype=torch.bool) if known is None else known
     return min(options, key=lambda option: float(error_cm(make(option), truth, hidden, joints).mean()))

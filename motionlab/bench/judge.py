@@ -7,8 +7,6 @@ Source: thesis 4.2.1 (cases). Gneiting and Raftery 2007, Eq. 22: the energy scor
 the error of a single answer cannot.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Windows of motion that was recorded of people: the same number of each person, who is in which, and what it lacks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -110,14 +110,9 @@ class Completer(nn.Module):
         return self.mean[state.MADE_AT], self.scale[state.MADE_AT]
 
     def forward(
-        self,
-        states: Tensor,
-        known: Tensor,
-        fps: float,
-        noisy: Tensor | None = None,
-        angle: Tensor | None = None,
+        self, states: Tensor, known: Tensor, fps: float, noisy: Tensor | None = None, angle: Tensor | None = None,
         tremble: Tensor | None = None,
-    ) -> Tensor:
+    ) -> Tensor:  # fmt: skip
         """Computes what to add to a guess; nothing where a number is known."""
         told = time_to_known(known, fps)
         if tremble is not None:
@@ -132,13 +127,9 @@ class Completer(nn.Module):
         return binomial_smoothed(said * ~known[..., state.owners().to(known.device)])
 
     def filled(
-        self,
-        motion: Motion,
-        known: Tensor,
-        angle: Tensor | None = None,
-        noise: Tensor | None = None,
+        self, motion: Motion, known: Tensor, angle: Tensor | None = None, noise: Tensor | None = None,
         tremble: Tensor | None = None,
-    ) -> Motion:
+    ) -> Motion:  # fmt: skip
         """Computes windows (B, T) that are told ``known`` (B, T, ``UNITS``) of windows in their stuck frame; contacts
         are near 0 or 1. Elsewhere the motion is never read, but by ``diffusion``, as much as the angle (B,) leaves of
         it under noise (B, T, ``MADE``; ``motion_noise``); None: nothing. One that ``refines`` reads all of it, and by
@@ -161,14 +152,9 @@ class Completer(nn.Module):
         return begun, ~known[..., state.owners().to(known.device)]
 
     def _added(
-        self,
-        motion: Motion,
-        begun: Tensor,
-        known: Tensor,
-        shown: Tensor | None,
-        angle: Tensor | None,
+        self, motion: Motion, begun: Tensor, known: Tensor, shown: Tensor | None, angle: Tensor | None,
         tremble: Tensor | None = None,
-    ) -> Tensor:
+    ) -> Tensor:  # fmt: skip
         states = state.rows(state.motion_of(begun, motion))
         with torch.autocast(begun.device.type, torch.bfloat16, enabled=self.halves):
             said = self(states, known, motion.fps, shown, angle, tremble).float()
@@ -191,15 +177,9 @@ class Completer(nn.Module):
 
     @torch.no_grad()
     def complete(
-        self,
-        motion: Motion,
-        known: Tensor,
-        generator: torch.Generator | None = None,
-        *,
-        steps: int = 10,
-        tremble: float | None = None,
-        batch: int = 64,
-    ) -> Motion:
+        self, motion: Motion, known: Tensor, generator: torch.Generator | None = None, *, steps: int = 10,
+        tremble: float | None = None, batch: int = 64,
+    ) -> Motion:  # fmt: skip
         """Computes motions (B, T) in the world from what is known of them; known rotations and places stay to the bit.
 
         The place and heading of the first frame are taken as given, known or not; contacts that a motion lacks are

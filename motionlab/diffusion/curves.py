@@ -6,8 +6,6 @@ cubic splines these have a velocity that does not jump, but far from known entri
 Source: Rasmussen and Williams 2006, Eqs. 2.25 and 4.17.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -5,8 +5,6 @@ same weights, by name and shape.
 Differs, where asked: several frames in one token, which halves the work.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch
@@ -27,22 +25,13 @@ def _sines(count: int, size: int) -> Tensor:
 
 
 class Denoiser(nn.Module):
-    """features: numbers per frame. size: of a token. patch: frames in a token.
-
-    "small", "compact" and "thesis" sizes: ``SIZES``.
-    """
+    """features: numbers per frame. size: of a token. patch: frames in a token. "small", "compact" and "thesis" sizes:
+    ``SIZES``."""
 
     def __init__(
-        self,
-        features: int,
-        *,
-        size: int = 512,
-        layers: int = 8,
-        heads: int = 4,
-        hidden: int = 1024,
-        dropout: float = 0.1,
-        patch: int = 1,
-    ) -> None:
+        self, features: int, *, size: int = 512, layers: int = 8, heads: int = 4, hidden: int = 1024,
+        dropout: float = 0.1, patch: int = 1,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.features, self.patch = features, patch
         self.input_process = nn.ModuleDict({"poseEmbedding": nn.Linear(features * patch, size)})

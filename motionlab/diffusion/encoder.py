@@ -7,8 +7,6 @@ Source: FID's features are those of a trained network (Heusel et al. 2017; for m
 Differs: an autoencoder, as there are no labels; root and feet count as much as all other joints together.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path

@@ -33,7 +33,6 @@ class Layout:
     frame: str = "stuck"
     velocities: bool = False
     contacts: bool = True
-    skeleton: Skeleton = STANDARD
 
     def __post_init__(self) -> None:
         if self.frame not in _FRAMES:
@@ -42,10 +41,10 @@ class Layout:
     @cached_property
     def slices(self) -> dict[str, slice]:
         """Columns of each group: root, orient, pose, root_vel, rot_vel, contacts, as far as a frame has them."""
-        joints, found, at = len(self.skeleton), {}, 0
+        joints, found, at = len(STANDARD), {}, 0
         sizes = {"root": 3, "orient": 6, "pose": 6 * (joints - 1)}
         sizes |= {"root_vel": 3, "rot_vel": 6 * joints} if self.velocities else {}
-        sizes |= {"contacts": len(self.skeleton.contact_names)} if self.contacts else {}
+        sizes |= {"contacts": len(STANDARD.contact_names)} if self.contacts else {}
         for name, size in sizes.items():
             found[name], at = slice(at, at + size), at + size
         return found
@@ -57,14 +56,14 @@ class Layout:
 
     # ------------------------------------------------------------------------------------------ there and back
     def encode(self, motion: Motion) -> Tensor:
-        """Computes rows (..., T, size) of a motion on the layout's joints, not yet normalised.
+        """Computes rows (..., T, size) of a motion on the 22 joints, not yet normalised.
 
         Raises:
             DataError: contacts are asked for and the motion has none.
             ShapeError: other joints.
         """
-        if motion.skeleton.names != self.skeleton.names:
-            raise ShapeError("motion: expected the layout's joints; retarget first")
+        if motion.skeleton.names != STANDARD.names:
+            raise ShapeError("motion: expected the 22 joints; retarget first")
         if self.frame == "stuck":
             motion, _ = stuck_root(motion)
         sixd = rotation.matrix_to_sixd(motion.rot)
@@ -84,7 +83,7 @@ class Layout:
         sixd = torch.cat((rows[..., self.slices["orient"]], rows[..., self.slices["pose"]]), -1).unflatten(-1, (-1, 6))
         contacts = (rows[..., self.slices["contacts"]] > 0.5).to(rows) if self.contacts else None
         rot = rotation.sixd_to_matrix(sixd)
-        return Motion(skeleton or self.skeleton, rows[..., self.slices["root"]], rot, fps, contacts)
+        return Motion(skeleton or STANDARD, rows[..., self.slices["root"]], rot, fps, contacts)
 
 
 def _change(x: Tensor, fps: float) -> Tensor:

@@ -10,8 +10,6 @@ Differs: runs get their mean place, the root never moves, and a ball out of reac
 reached.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -7,8 +7,6 @@ anew along its own way (:func:`retime`), and one that goes from place to place g
 Numbers: of recordings of validation people, at 30 frames per second; lengths in legs where nothing else is said.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,10 +34,8 @@ _Ends = tuple[int, int]  # the frames between which a foot goes
 
 @dataclass(frozen=True)
 class _Glide:
-    """Frames first to last of a clip's foot that is said to stand and travels.
-
-    q: share of its way at each. rests: shares of the way where it comes to rest, n + 1 of them. length: metres.
-    """
+    """Frames first to last of a clip's foot that is said to stand and travels. q: share of its way at each. rests:
+    shares of the way where it comes to rest, n + 1 of them. length: metres."""
 
     clip: int
     foot: int

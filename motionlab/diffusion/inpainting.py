@@ -7,8 +7,6 @@ Source: thesis 4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1})
 al. 2022, reconstruction guidance, with CondMDI's weight.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import torch
@@ -78,14 +76,8 @@ def inpaint_features(
 
 
 def inpaint(
-    model: MotionDiffusion,
-    motion: Motion,
-    known: Tensor,
-    generator: torch.Generator,
-    how: Inpainting | None = None,
-    *,
-    batch: int = 64,
-) -> Motion:
+    model: MotionDiffusion, motion: Motion, known: Tensor, generator: torch.Generator, how: Inpainting | None = None,
+) -> Motion:  # fmt: skip
     """Inpaints motions (B, T) with gaps: unknown numbers are sampled, the place in the world stays.
 
     known: bool (B, T, D) or (T, D), True where known. A stuck layout takes the place and heading of the first frame as
@@ -95,7 +87,7 @@ def inpaint(
         motion = with_contacts(motion)
     x0 = model.encode(motion)
     whole, how = known.expand(len(x0), *known.shape[-2:]), how or Inpainting()
-    pairs = zip(x0.split(batch), whole.split(batch), strict=True)
+    pairs = zip(x0.split(64), whole.split(64), strict=True)
     x = torch.cat([inpaint_features(model, *pair, generator, how) for pair in pairs])
     made = replace(model.decode(x, motion.skeleton), name=motion.name)
     return local_to_world(stuck_root(motion)[1], made) if model.layout.frame == "stuck" else made
@@ -104,10 +96,8 @@ def inpaint(
 def _replace(
     schedule: NoiseSchedule, known: Tensor, m: Tensor, generator: torch.Generator, *, last: bool = True
 ) -> After:
-    """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step.
-
-    last: also behind the last step, where it is not noised any more: exact, and the cause of the seam. m may be soft.
-    """
+    """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step. last: also behind the last
+    step, where it is not noised any more: exact, and the cause of the seam. m may be soft."""
 
     def after(x: Tensor, x0: Tensor, t: int) -> Tensor:
         if t == 0 and not last:

@@ -3,8 +3,6 @@
 Source: CondMDI (Cohan et al. 2024), random frames x random joints; the test cases of thesis 4.2.1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch
@@ -22,10 +20,10 @@ LEGS = ("hip", "knee", "ankle", "foot")
 
 def units(layout: Layout) -> Tensor:
     """Computes the joint that each number of a frame (D,) belongs to; J: the root's place, J + 1: contacts."""
-    joints = len(layout.skeleton)
+    joints = len(STANDARD)
     each, root = torch.arange(joints).repeat_interleave(6), torch.full((3,), joints)
     owners = {"root": root, "orient": each[:6], "pose": each[6:], "root_vel": root, "rot_vel": each}
-    owners["contacts"] = torch.full((len(layout.skeleton.contact_names),), joints + 1)
+    owners["contacts"] = torch.full((len(STANDARD.contact_names),), joints + 1)
     return torch.cat([owners[name] for name in layout.slices])
 
 

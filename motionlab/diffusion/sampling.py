@@ -101,10 +101,10 @@ class NoiseSchedule:
         return values.reshape(values.shape + (1,) * (like.ndim - values.ndim)) if values.ndim else values
 
 
-def cosine(steps: int = 1000, *, s: float = 0.008, power: float = 2.0) -> NoiseSchedule:
+def cosine(steps: int = 1000, *, power: float = 2.0) -> NoiseSchedule:
     """Computes alpha_bar(u) = (f(u) / f(0)), f(u) = cos^power((u + s) / (1 + s) pi / 2), u = (t + 1) / T, Eq. 4.4.
 
-    Each step replaces at most ``MOST`` of the variance.
+    s = 0.008. Each step replaces at most ``MOST`` of the variance.
 
     Source: Nichol and Dhariwal 2021, Eq. 17. Differs from the thesis, which prints the cosine without its square
     (``power=1``): then half of the signal's amplitude is left where it should be a quarter, and noise never wins.
@@ -112,7 +112,7 @@ def cosine(steps: int = 1000, *, s: float = 0.008, power: float = 2.0) -> NoiseS
     if steps < 1:
         raise ValueError(f"steps: expected 1 or more, got {steps}")
     u = torch.arange(steps + 1, dtype=torch.float64) / steps
-    f = ((u + s) / (1 + s) * (math.pi / 2)).cos().clamp(min=0) ** power
+    f = ((u + 0.008) / (1 + 0.008) * (math.pi / 2)).cos().clamp(min=0) ** power
     beta = (1 - f[1:] / f[:-1]).clamp(max=MOST)
     return NoiseSchedule((1 - beta).cumprod(0), torch.arange(steps))
 
@@ -128,13 +128,9 @@ def _stamps(schedule: NoiseSchedule, t: int, x: Tensor) -> Tensor:
 
 @torch.no_grad()
 def ddpm(
-    denoise: DenoiseFunction,
-    schedule: NoiseSchedule,
-    x: Tensor,
-    generator: torch.Generator,
-    *,
+    denoise: DenoiseFunction, schedule: NoiseSchedule, x: Tensor, generator: torch.Generator, *,
     after: After | None = None,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; none in the last step."""
     for t in range(len(schedule) - 1, -1, -1):
         x0 = denoise(x, _stamps(schedule, t, x))

@@ -7,8 +7,6 @@ Source: HuMoR (Rempe et al. 2021), HumanML3D (Guo et al. 2022), whose states are
 6-D rotations and contacts alone.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

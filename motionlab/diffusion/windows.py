@@ -1,7 +1,5 @@
 """Training windows of the denoiser: cut from motions at any frame, also mirrored."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -96,13 +94,9 @@ class Windows:
 
 
 def gather(
-    motions: Sequence[Motion],
-    length: int,
-    *,
-    mirrored: bool = True,
-    missing: Sequence[Sequence[str]] | None = None,
+    motions: Sequence[Motion], length: int, *, mirrored: bool = True, missing: Sequence[Sequence[str]] | None = None,
     people: Sequence[str] | None = None,
-) -> Windows:
+) -> Windows:  # fmt: skip
     """Cuts windows of ``length`` frames from motions at one frame rate, all with contacts or none; drops shorter ones.
 
     missing: for every motion the joints whose rotations were not recorded; None: none is missing. people: for every
@@ -114,9 +108,11 @@ def gather(
     """
     if length < 1:
         raise ValueError(f"length: expected 1 frame or more, got {length}")
-    used = [m for m in motions if m.frames >= length]
-    if not used:
+    every = zip(motions, missing or [()] * len(motions), people or [""] * len(motions), strict=True)
+    long = [row for row in every if row[0].frames >= length]
+    if not long:
         raise DataError(f"no motion has {length} frames", remedy="give longer motions")
+    used, lacks, whose = zip(*long, strict=True)
     for m in used:
         if m.skeleton.names != STANDARD.names or m.rot.ndim != 4:
             raise ShapeError(f"{m.name or 'motion'}: expected one clip on the 22 joints; retarget first")
@@ -128,11 +124,9 @@ def gather(
             raise DataError("some motions have contacts and some not", place=m.name, remedy=remedy)
         if not (m.root.isfinite().all() and m.rot.isfinite().all()):
             raise DataError("numbers that are not finite", place=m.name, remedy="leave this motion out")
-    lacks = () if missing is None else [n for m, n in zip(motions, missing, strict=True) if m.frames >= length]
     seen = torch.tensor([[name not in names for name in STANDARD.names] for names in lacks]) if any(lacks) else None
     seen = None if seen is None else seen & seen[:, STANDARD.mirror_indices]
-    names = None if people is None else [who for m, who in zip(motions, people, strict=True) if m.frames >= length]
-    numbers = {name: k for k, name in enumerate(dict.fromkeys(names or ()))}
+    numbers = {name: k for k, name in enumerate(dict.fromkeys(whose))}
     counts = torch.tensor([m.frames for m in used])
     starts = counts.cumsum(0) - counts
     return Windows(
@@ -146,7 +140,7 @@ def gather(
         fps=used[0].fps,
         mirrored=mirrored,
         seen=seen,
-        people=None if names is None else torch.tensor([numbers[name] for name in names]),
+        people=None if people is None else torch.tensor([numbers[name] for name in whose]),
     )
 
 

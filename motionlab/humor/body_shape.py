@@ -8,8 +8,6 @@ Differs: HuMoR uses 16 betas of SMPL, and vertices of its mesh for nose, eyes, e
 default body hang on one bone each, so that here they are points fixed to head, ankle and foot: no mesh is needed.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
@@ -40,8 +38,6 @@ MARKS = {
     "left_small_toe": ("left_foot", (0.0397, 0.0073, 0.0343)),
     "left_heel": ("left_ankle", (0.0040, -0.0441, -0.0614)),
 }
-#: Keypoints of BODY_25 that are joints under another name.
-RENAMED = {"mid_hip": "pelvis"}
 
 
 def _landmark(name: str) -> tuple[int, tuple[float, float, float]]:
@@ -49,7 +45,7 @@ def _landmark(name: str) -> tuple[int, tuple[float, float, float]]:
     if name not in MARKS and name.replace("right_", "left_") in MARKS:
         carrier, (x, y, z) = MARKS[name.replace("right_", "left_")]
         return STANDARD.index(carrier.replace("left_", "right_")), (-x, y, z)
-    carrier, place = MARKS.get(name, (RENAMED.get(name, name), (0.0, 0.0, 0.0)))
+    carrier, place = MARKS.get(name, ("pelvis" if name == "mid_hip" else name, (0.0, 0.0, 0.0)))
     return STANDARD.index(carrier), place
 
 

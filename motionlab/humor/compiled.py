@@ -6,8 +6,6 @@ calls; here the whole chain is one call, and so is the way back. On the CPU, in 
 Source: numba compiles the loops where they first run and keeps them in ``__pycache__``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import signal

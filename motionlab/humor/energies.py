@@ -6,8 +6,6 @@ before any arithmetic, so that inf and NaN there reach neither value nor gradien
 Source: HuMoR (Rempe et al. 2021), section 4, and its official code, whose values these are; thesis 3.1.2.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Protocol
 
@@ -126,10 +124,8 @@ def contact_probabilities(logits: Tensor) -> Tensor:
 
 
 def contact_vel(joints: Tensor, contacts: Tensor) -> Tensor:
-    """Computes 1/2 sum p_t |J_t - J_{t-1}|^2: a joint in contact does not move.
-
-    joints (B, T, N, 3) with contacts (B, T, N), or 22 joints with the nine of ``CONTACT_JOINTS``.
-    """
+    """Computes 1/2 sum p_t |J_t - J_{t-1}|^2: a joint in contact does not move. joints (B, T, N, 3) with contacts
+    (B, T, N), or 22 joints with the nine of ``CONTACT_JOINTS``."""
     joints = _touching(joints, contacts)
     return 0.5 * _per_clip(contacts[:, 1:] * joints.diff(dim=1).square().sum(-1))
 
@@ -211,33 +207,19 @@ def _last(weight: float) -> Triple:
 
 
 RGB = Weights(
-    joints2d=(0.001, 0.001, 0.001),
-    pose_prior=(0.04, 0.04, 0.0),
-    shape_prior=(0.05, 0.05, 0.05),
-    joints3d_smooth=(100.0, 100.0, 0.0),
-    motion_prior=_last(0.075),
-    init_motion_prior=_last(0.075),
-    joint_consistency=_last(100.0),
-    bone_length=_last(2000.0),
-    contact_vel=_last(100.0),
-    contact_height=_last(10.0),
+    joints2d=(0.001, 0.001, 0.001), pose_prior=(0.04, 0.04, 0.0), shape_prior=(0.05, 0.05, 0.05),
+    joints3d_smooth=(100.0, 100.0, 0.0), motion_prior=_last(0.075), init_motion_prior=_last(0.075),
+    joint_consistency=_last(100.0), bone_length=_last(2000.0), contact_vel=_last(100.0), contact_height=_last(10.0),
     floor_reg=_last(0.167),
-)
+)  # fmt: skip
 #: As RGB, with a quarter of its smoothness, which draws walking people towards the camera, where they move less.
 #: Chosen on synthetic walks that no table uses: stage 3's error there fell from 5 to 3 cm.
 RGB_LIGHT = Weights(**asdict(RGB) | {"joints3d_smooth": (25.0, 25.0, 0.0)})
 JOINTS = Weights(
-    joints3d=(1.0, 1.0, 1.0),
-    pose_prior=(2e-4, 2e-4, 0.0),
-    shape_prior=(1.67e-4, 1.67e-4, 1.67e-4),
-    joints3d_smooth=(10.0, 10.0, 0.0),
-    motion_prior=_last(1e-3),
-    init_motion_prior=_last(1e-3),
-    joint_consistency=_last(1.0),
-    bone_length=_last(10.0),
-    contact_vel=_last(1.0),
-    contact_height=_last(1.0),
-)
+    joints3d=(1.0, 1.0, 1.0), pose_prior=(2e-4, 2e-4, 0.0), shape_prior=(1.67e-4, 1.67e-4, 1.67e-4),
+    joints3d_smooth=(10.0, 10.0, 0.0), motion_prior=_last(1e-3), init_motion_prior=_last(1e-3),
+    joint_consistency=_last(1.0), bone_length=_last(10.0), contact_vel=_last(1.0), contact_height=_last(1.0),
+)  # fmt: skip
 KEYPOINTS = Weights(
     **asdict(JOINTS)
     | {"joints3d_smooth": (0.1, 0.1, 0.0), "motion_prior": _last(5e-4), "init_motion_prior": _last(5e-4)}

@@ -180,12 +180,9 @@ class Evidence:
 
 
 def evidence(
-    observation: Observation2D | Observation3D,
-    *,
-    cameras: Sequence[Camera] | None = None,
-    floor: str | None = None,
+    observation: Observation2D | Observation3D, *, cameras: Sequence[Camera] | None = None, floor: str | None = None,
     size: tuple[int, int] | None = None,
-) -> Evidence:
+) -> Evidence:  # fmt: skip
     """Computes a batch of evidence from either kind of observation; a clip without a batch axis gets one.
 
     Args:

@@ -11,8 +11,6 @@ official mixture by its means. What a transition adds stays the same.
 Source: the files of HuMoR (Rempe et al. 2021) and of VPoser (Pavlakos et al. 2019), versions 1.0 and 2.0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -22,17 +20,9 @@ from torch import Tensor
 
 from motionlab import checkpoint
 from motionlab.errors import DataError, ShapeError
-from motionlab.humor import state
+from motionlab.humor import priors, state
 from motionlab.humor.cvae import Cvae, filled, finite, from_weights
-from motionlab.humor.priors import (
-    BODY_JOINTS,
-    FIRST_STATE_SIZE,
-    VPOSER_SLOPES,
-    InitGmm,
-    PosePrior,
-    Priors,
-    first_state_features,
-)
+from motionlab.humor.priors import BODY_JOINTS, FIRST_STATE_SIZE, InitGmm, PosePrior, Priors
 from motionlab.io.reading import checked_array, read_npz, reading
 
 #: The priors that ship: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of real motion.
@@ -137,7 +127,7 @@ def _at_pelvis(model: Cvae, pelvis: Pelvis) -> Cvae:
 
 def _mixture_at_pelvis(mixture: InitGmm, pelvis: Pelvis) -> InitGmm:
     """An official mixture over first states whose ``trans`` is the pelvis."""
-    k = first_state_features(_shift(pelvis)).to(mixture.means)
+    k = priors.first_state_features(_shift(pelvis)).to(mixture.means)
     return InitGmm(mixture.weights, mixture.means - k, mixture.covariances)
 
 
@@ -221,7 +211,7 @@ def _vposer(path: Path | str) -> PosePrior:
 
 def _from_vposer(found: Mapping[str, Tensor], path: Path, remedy: str) -> PosePrior:
     second = "encoder_net.2.weight" in found
-    names, model = (_NAMES_2 if second else _NAMES_1), PosePrior(3, _VPOSER_2_SLOPES if second else VPOSER_SLOPES)
+    names, model = (_NAMES_2, PosePrior(3, _VPOSER_2_SLOPES)) if second else (_NAMES_1, PosePrior(3))
     taken = {
         f"{ours}.{part}": found[f"{theirs}.{part}"].float()
         for ours, theirs in names.items()

@@ -3,8 +3,6 @@
 Centimetres are mean distances over the 22 predicted joints; beside them stands what knows nothing.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

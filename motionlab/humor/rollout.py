@@ -14,8 +14,6 @@ Source: HuMoR (Rempe et al. 2021), ``roll_out`` of the official code; thesis 3.1
 differential dynamic programming (Jacobson and Mayne 1970), forward pass.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -143,15 +143,9 @@ def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> 
 
 
 def stage_3(
-    problem: Problem,
-    unknown: Unknowns,
-    factors: Tensor | None = None,
-    *,
-    steps: int,
-    short: int,
-    refine: tuple[int, int],
-    **budget,
-) -> tuple[Unknowns, list[BatchFit]]:
+    problem: Problem, unknown: Unknowns, factors: Tensor | None = None, *, steps: int, short: int,
+    refine: tuple[int, int], **budget,
+) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
     """Runs stage 3: the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
 
     factors: of ``start.start_stage_3``; without them the search is in the unknowns as they are.
@@ -183,18 +177,10 @@ def stage_3(
 
 
 def _search(
-    terms: Callable[[Problem, Unknowns], Terms],
-    problem: Problem,
-    start: Mapping[str, Tensor],
-    moving: tuple[str, ...],
-    back: Back = lambda new, rows: Unknowns(**new),
-    *,
-    steps: int,
-    inner: int,
-    tolerance: float = 0.0,
-    progress: bool | str = False,
-    watch: Callable[[Terms], None] | None = None,
-) -> tuple[Unknowns, BatchFit]:
+    terms: Callable[[Problem, Unknowns], Terms], problem: Problem, start: Mapping[str, Tensor], moving: tuple[str, ...],
+    back: Back = lambda new, rows: Unknowns(**new), *, steps: int, inner: int, tolerance: float = 0.0,
+    progress: bool | str = False, watch: Callable[[Terms], None] | None = None,
+) -> tuple[Unknowns, BatchFit]:  # fmt: skip
     """Lowers the sum of some terms by moving some of the numbers of ``start``, each recording for itself.
 
     A recording that is done costs nothing more.
@@ -218,9 +204,7 @@ def _search(
             watch({n: x.detach() for n, x in found.items()})
         return sum(found.values())
 
-    fit = minimise_batch(
-        energy, point, rows=True, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress
-    )
+    fit = minimise_batch(energy, point, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress)
     return back({**{n: x.detach() for n, x in point.items()}, **fit.variables}, every).detached(), fit
 
 
@@ -271,10 +255,8 @@ def preconditioned_motion(
 def _preconditioned(
     unknown: Unknowns, moving: tuple[str, ...], priors: Priors, evidence: Evidence, weights: dict[str, float]
 ) -> tuple[dict[str, Tensor], Back]:
-    """Computes new numbers to move, zeros at the start, and the way from them to the unknowns.
-
-    unknown: of stages 1 and 2 with one window each, (G, 1, T, ...). moving: those that may change.
-    """
+    """Computes new numbers to move, zeros at the start, and the way from them to the unknowns. unknown: of stages 1 and
+    2 with one window each, (G, 1, T, ...). moving: those that may change."""
     named = unknown.named()
     names = [n for n in _OF_FRAMES if n in moving]
     frames, sizes = unknown.trans.shape[2], [named[n].shape[-1] for n in names]

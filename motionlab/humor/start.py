@@ -18,8 +18,6 @@ Differs: the official code starts every 3-D clip at identity, and a video at one
 counted as zero where they were not detected). Unseen frames stay there; here they are interpolated.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -118,10 +116,8 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def interpolate_unseen(trans: Tensor, turn: Tensor, known: Tensor, fps: float) -> tuple[Tensor, Tensor]:
-    """Computes root (B, T, 3) and orientation (B, T, 3, 3) interpolated where not ``known`` (B, T); ends hold.
-
-    A clip of which nothing is known stands upright at the origin, its feet on the floor, and looks along +y.
-    """
+    """Computes root (B, T, 3) and orientation (B, T, 3, 3) interpolated where not ``known`` (B, T); ends hold. A clip
+    of which nothing is known stands upright at the origin, its feet on the floor, and looks along +y."""
     none = ~known.any(-1)
     up, height = UPRIGHT.to(turn), STANDARD.standing_height().to(trans)
     trans = torch.where(none[:, None, None], torch.nn.functional.pad(height[None], (2, 0)), trans)
@@ -162,10 +158,8 @@ def _orientations() -> tuple[Tensor, Tensor]:
 
 
 def _place(evidence: Evidence, view: View, poses: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
-    """Best world positions (B, T, N, 3) of N orientations, and their robust reprojection errors (B, T, N).
-
-    Errors are in units of the person's apparent size, weighted by confidence.
-    """
+    """Best world positions (B, T, N, 3) of N orientations, and their robust reprojection errors (B, T, N). Errors are
+    in units of the person's apparent size, weighted by confidence."""
     k = view.intrinsics[:, None, None]
     plane = (evidence.values - k[..., :2, 2]) / torch.stack((k[..., 0, 0], k[..., 1, 1]), -1)  # (B, T, K, 2)
     weight = evidence.weight.square()
@@ -220,17 +214,9 @@ def seated(motion: Motion) -> Motion:
 
 
 def start_stage_3(
-    motion: Motion,
-    latent: Tensor,
-    shared: dict[str, Tensor],
-    confidence: Tensor,
-    priors: Priors,
-    starts: tuple[int, ...],
-    length: int,
-    mode: str = "lean",
-    weight: float = 1e-3,
-    damping: float = DAMPING_ROLLOUT,
-) -> tuple[Unknowns, Tensor | None]:
+    motion: Motion, latent: Tensor, shared: dict[str, Tensor], confidence: Tensor, priors: Priors,
+    starts: tuple[int, ...], length: int, mode: str = "lean", weight: float = 1e-3, damping: float = DAMPING_ROLLOUT,
+) -> tuple[Unknowns, Tensor | None]:  # fmt: skip
     """Computes the unknowns of stage 3 from stage 2's motion, in windows; in lean mode also factors of z.
 
     Factors (G, W, L - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u.
@@ -252,15 +238,9 @@ def start_stage_3(
             z, factors = (x.unflatten(0, (-1, len(starts))) for x in (z, _factors(curvature, sharp, weight)))
         else:
             z, factors = unknowns.cut_windows(infer(priors.motion, states)[0].mean, starts, length - 1), None
+    orient, speeds = from_matrix(first["root_orient"], mode), (first["trans_vel"], first["root_orient_vel"])
     unknown = Unknowns(
-        trans=first["trans"],
-        orient=from_matrix(first["root_orient"], mode),
-        latent=latent[:, list(starts)],
-        trans_vel=first["trans_vel"],
-        root_orient_vel=first["root_orient_vel"],
-        joints_vel=first["joints_vel"].flatten(-2),
-        z=z,
-        **shared,
+        first["trans"], orient, latent[:, list(starts)], *speeds, first["joints_vel"].flatten(-2), z=z, **shared
     )
     return unknown, factors
 

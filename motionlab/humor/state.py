@@ -14,24 +14,16 @@ not transposed, and ``trans`` is SMPL's translation, here the pelvis itself (``p
 heading is exact in two dimensions, where the official code takes acos of a guarded cosine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import accumulate, pairwise
 
 import torch
 from torch import Tensor
 
+from motionlab import heading as headings
 from motionlab import rotation
 from motionlab.errors import check_shape
-from motionlab.heading import (
-    Frame,
-    heading_frame,
-    local_to_world_orientations,
-    local_to_world_positions,
-    world_to_local_orientations,
-    world_to_local_positions,
-)
+from motionlab.heading import Frame, heading_frame
 from motionlab.motion import FPS, Motion, backward_velocity, velocity
 from motionlab.skeleton import STANDARD, Skeleton
 
@@ -119,17 +111,13 @@ def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
     positions, _ = motion.world
     check_shape(positions, f"... {JOINT_COUNT} 3", "joints")
     root = motion.rot[..., 0, :, :]
-    return pack(
-        {
-            "trans": motion.root,
-            "trans_vel": rate(motion.root, motion.fps, dim=-2),
-            "root_orient": root,
-            "root_orient_vel": _turning(root, motion.fps) if causal else angular_velocity(root, motion.fps),
-            "pose_body": motion.rot[..., 1:, :, :],
-            "joints": positions,
-            "joints_vel": rate(positions, motion.fps, dim=-3),
-        }
-    )
+    return pack({
+        "trans": motion.root, "trans_vel": rate(motion.root, motion.fps, dim=-2),
+        "root_orient": root,
+        "root_orient_vel": _turning(root, motion.fps) if causal else angular_velocity(root, motion.fps),
+        "pose_body": motion.rot[..., 1:, :, :],
+        "joints": positions, "joints_vel": rate(positions, motion.fps, dim=-3),
+    })  # fmt: skip
 
 
 def _turning(orientation: Tensor, fps: float) -> Tensor:
@@ -147,11 +135,11 @@ def angular_velocity(orientation: Tensor, fps: float) -> Tensor:
     return torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1)
 
 
-def to_motion(state: Tensor, skeleton: Skeleton, fps: float = 30.0, contacts: Tensor | None = None) -> Motion:
+def to_motion(state: Tensor, skeleton: Skeleton, fps: float = 30.0) -> Motion:
     """Returns the motion that states (..., T, 339) describe by root and angles; their ``joints`` play no part."""
     parts = unpack(state)
     rot = torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), dim=-3)
-    return Motion(skeleton, parts["trans"], rot, fps, contacts)
+    return Motion(skeleton, parts["trans"], rot, fps)
 
 
 def heading(state: Tensor) -> Frame:
@@ -160,16 +148,14 @@ def heading(state: Tensor) -> Frame:
 
 
 def localise(state: Tensor, frame: Frame) -> Tensor:
-    """Computes states (..., 339) in the coordinates of a frame (...).
-
-    trans -> A (t + s), joints -> A (j + s), velocities and root orientation are turned by A, the pose stays.
-    """
-    return _moved(state, frame, world_to_local_positions, world_to_local_orientations)
+    """Computes states (..., 339) in the coordinates of a frame (...). trans -> A (t + s), joints -> A (j + s),
+    velocities and root orientation are turned by A, the pose stays."""
+    return _moved(state, frame, headings.world_to_local_positions, headings.world_to_local_orientations)
 
 
 def globalise(state: Tensor, frame: Frame) -> Tensor:
     """Computes world states (..., 339) from those in a frame: the inverse of :func:`localise`."""
-    return _moved(state, frame, local_to_world_positions, local_to_world_orientations)
+    return _moved(state, frame, headings.local_to_world_positions, headings.local_to_world_orientations)
 
 
 def transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
@@ -183,17 +169,12 @@ def transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
 def _moved(state, frame, positions, orientations) -> Tensor:
     parts = unpack(state)
     turned = Frame(frame.turn, torch.zeros_like(frame.shift))
-    return pack(
-        {
-            "trans": positions(frame, parts["trans"]),
-            "trans_vel": positions(turned, parts["trans_vel"]),
-            "root_orient": orientations(frame, parts["root_orient"]),
-            "root_orient_vel": positions(turned, parts["root_orient_vel"]),
-            "pose_body": parts["pose_body"],
-            "joints": positions(frame, parts["joints"]),
-            "joints_vel": positions(turned, parts["joints_vel"]),
-        }
-    )
+    return pack({
+        "trans": positions(frame, parts["trans"]), "trans_vel": positions(turned, parts["trans_vel"]),
+        "root_orient": orientations(frame, parts["root_orient"]),
+        "root_orient_vel": positions(turned, parts["root_orient_vel"]), "pose_body": parts["pose_body"],
+        "joints": positions(frame, parts["joints"]), "joints_vel": positions(turned, parts["joints_vel"]),
+    })  # fmt: skip
 
 
 def bone_lengths(state: Tensor) -> Tensor:

@@ -223,11 +223,10 @@ def fit(
         unknown = start_stage_1(problem)
         track = _Track(schedule, progress, watch)
         for stage in (1, 2):
-            if not track.stopped:
+            if not _stopped(track.results):
                 unknown = track.pose_stage(problem, unknown, stage)
-        if seen.values.shape[1] < 2 or track.stopped or not schedule.steps[2]:
-            why = "one frame has no transition" if seen.values.shape[1] < 2 else "no steps for it"
-            return track.without_stage_3(problem, unknown, why)
+        if seen.values.shape[1] < 2 or _stopped(track.results) or not schedule.steps[2]:
+            return track.without_stage_3(problem, unknown)
         return track.motion_stage(problem, unknown, solver)
 
 
@@ -262,10 +261,6 @@ class _Track:
         self.stages: dict[int, Motion] = {}
         self.energies: dict[int, dict[str, Tensor]] = {}
         self.results: dict[int, list[object]] = {}
-
-    @property
-    def stopped(self) -> bool:
-        return _stopped(self.results)
 
     def _budget(self, stage: int) -> dict[str, object]:
         name = begins(_NAMES[stage - 1], self.progress)
@@ -313,14 +308,10 @@ class _Track:
             self.energies[3] = stages.motion_terms(cut, rolled)
             found = unknowns.roll(rolled, problem.priors, cut.evidence)
         touching = energies.contact_probabilities(found.rollout.contact_logits)
-
-        def joined(x: Tensor, **how) -> Tensor:
-            return stitch_windows(x.unflatten(0, (-1, len(cuts))), cuts, **how)
-
-        contacts = joined(touching)
-        body = found.body._replace(
-            root=joined(found.body.root), rot=joined(found.body.rot, turns=True), betas=rolled.betas
+        contacts, root, rot = (
+            stitch_windows(x.unflatten(0, (-1, len(cuts))), cuts) for x in (touching, found.body.root, found.body.rot)
         )
+        body = found.body._replace(root=root, rot=rot, betas=rolled.betas)
         self.stages[3] = unknowns.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
         first = found.states[:, 0].unflatten(0, (-1, len(cuts)))
         says = diagnosed(found, cut.evidence)
@@ -345,8 +336,9 @@ class _Track:
         begun = self._begun(problem, unknown, sits, latent, confidence)
         return starts.start_stage_3(*begun, *rest, starts.DAMPING_SHOOTING)[0]
 
-    def without_stage_3(self, problem: Problem, unknown: Unknowns, why: str) -> Fitted:
-        why = "interrupted" if self.stopped else why
+    def without_stage_3(self, problem: Problem, unknown: Unknowns) -> Fitted:
+        one = problem.evidence.values.shape[1] < 2
+        why = "interrupted" if _stopped(self.results) else "one frame has no transition" if one else "no steps for it"
         motion = self.stages[max(self.stages)]
         contacts = motion.root.new_zeros(*motion.root.shape[:2], 9)
         first = state.from_motion(motion, causal=problem.priors.motion.causal)[:, None, 0]

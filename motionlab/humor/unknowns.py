@@ -193,10 +193,9 @@ def first_state_in_heading_frame(states: Tensor) -> Tensor:
     return state.localise(states, state.heading(states))
 
 
-def motion_of(body: Posed, fps: float, name: str = "", contacts: Tensor | None = None) -> Motion:
+def motion_of(body: Posed, fps: float, contacts: Tensor | None = None) -> Motion:
     """Returns the motion (B, T) of a posed body, each row on its own skeleton, without gradients."""
-    skeleton = skeleton_of(body.betas.detach())
-    return Motion(skeleton, body.root.detach(), body.rot.detach(), fps, contacts, name)
+    return Motion(skeleton_of(body.betas.detach()), body.root.detach(), body.rot.detach(), fps, contacts)
 
 
 # ------------------------------------------------------------------------------------------------------------- windows
@@ -219,17 +218,15 @@ def cut_windows(x: Tensor, starts: Sequence[int], length: int) -> Tensor:
     return x[:, torch.tensor(starts)[:, None] + torch.arange(min(length, x.shape[1]))]
 
 
-def stitch_windows(x: Tensor, starts: Sequence[int], *, turns: bool = False) -> Tensor:
-    """Computes one (G, T, ...) from windows (G, W, L, ...); over shared frames the weight moves evenly.
-
-    turns: x are rotations (..., 3, 3), blended along the shortest way.
-    """
+def stitch_windows(x: Tensor, starts: Sequence[int]) -> Tensor:
+    """Computes one (G, T, ...) from windows (G, W, L, ...); over shared frames the weight moves evenly, of rotations
+    (..., J, 3, 3) along the shortest way."""
     out = x[:, 0]
     for w, start in enumerate(starts[1:], start=1):
         shared = out.shape[1] - start
         ramp = (torch.arange(1, shared + 1) / (shared + 1)).to(x)
         before, after = out[:, start:], x[:, w, :shared]
-        if turns:
+        if x.ndim > 5:
             ramp = ramp.reshape(-1, *(1,) * (x.ndim - 5))  # (shared, 1 per joint)
             mixed = rotation.slerp(before, after, ramp.expand(before.shape[1:-2]))
         else:

@@ -1,7 +1,5 @@
 """Measures what windows of motion are like, in a few physical numbers, so that sets of them can be compared."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
@@ -13,19 +11,10 @@ from motionlab.skeleton import FEET
 
 #: What :func:`describe` measures, with its unit.
 DESCRIPTION_UNITS = {
-    "root speed": "m/s",
-    "turning rate": "deg/s",
-    "joint speed": "m/s",
-    "joint acceleration": "m/s^2",
-    "jitter": "m/s^3",
-    "quick motion": "% above 4 Hz",
-    "feet on the floor": "%",
-    "foot height": "m",
-    "knee flexion": "deg",
-    "elbow flexion": "deg",
-    "trunk lean": "deg",
-    "hand height": "m",
-}
+    "root speed": "m/s", "turning rate": "deg/s", "joint speed": "m/s", "joint acceleration": "m/s^2",
+    "jitter": "m/s^3", "quick motion": "% above 4 Hz", "feet on the floor": "%", "foot height": "m",
+    "knee flexion": "deg", "elbow flexion": "deg", "trunk lean": "deg", "hand height": "m",
+}  # fmt: skip
 
 
 def describe(motion: Motion) -> dict[str, Tensor]:
@@ -43,7 +32,7 @@ def describe(motion: Motion) -> dict[str, Tensor]:
     trunk = torch.nn.functional.normalize(p[..., index("neck"), :] - pelvis, dim=-1)
     feet = [motion.skeleton.contact_names.index(name) for name in FEET]
     hands = p[..., [index("left_wrist"), index("right_wrist")], 2]
-    found = {
+    return {
         "root speed": moving[..., 0, :2].norm(dim=-1).mean(-1),
         "turning rate": torch.rad2deg(turn).mean(-1),
         "joint speed": moving.norm(dim=-1).mean((-1, -2)),
@@ -57,7 +46,6 @@ def describe(motion: Motion) -> dict[str, Tensor]:
         "trunk lean": torch.rad2deg(torch.acos(trunk[..., 2].clamp(-1, 1))).mean(-1),
         "hand height": hands.mean((-1, -2)),
     }
-    return {name: found[name] for name in DESCRIPTION_UNITS}
 
 
 def _power_above(moving: Tensor, fps: float, hertz: float) -> Tensor:

@@ -3,8 +3,6 @@
 Every measure tells the sizes of its sets, as most of them change with it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -1,7 +1,5 @@
 """Confidence intervals by the bootstrap: of a statistic, and of the difference of paired samples."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

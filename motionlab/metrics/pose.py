@@ -4,8 +4,6 @@ Positions are (..., T, J, 3) in metres, world. A measure averages over frames an
 Where there is nothing to average (no visible joint, too few frames for a difference) it is NaN, never 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -77,10 +75,8 @@ def joint_errors(predicted: Tensor, truth: Tensor, *, align: str) -> Tensor:
 
 
 def mpjpe(predicted: Tensor, truth: Tensor, *, align: str, mask: Tensor | None = None) -> Tensor:
-    """Computes the mean per-joint position error (...) in metres; ``mask`` (..., T, J) chooses what counts.
-
-    All joints take part in the alignment (see :func:`joint_errors`), also those that do not count.
-    """
+    """Computes the mean per-joint position error (...) in metres; ``mask`` (..., T, J) chooses what counts. All joints
+    take part in the alignment (see :func:`joint_errors`), also those that do not count."""
     return masked_mean(joint_errors(predicted, truth, align=align), mask, 2)
 
 

@@ -8,29 +8,45 @@
 Every chain begins at the truth. In closed ones the truth takes the place of what was reached, with a probability that
 falls to zero (scheduled sampling).
 
-Source: HuMoR (Rempe et al. 2021), section 3.3 (closed chains); the others are ours.
-Differs: errors are counted in units that matter per part (``scales``) with a Huber loss; gradients flow through some
-steps before the state is cut off (the official code cuts off every one) and are clipped; cosine decay; what ships is a
-moving average; joints of the pose come from forward kinematics, without vertices; a linear layer past the decoder
+A collection of recordings holds few bodies, so that motions are put on others. Inputs are standardised and outputs
+scaled; at the end both are folded into the weights, so that what ships has the official architecture, and ``skip`` and
+``direct``, which every model that is trained here has.
+
+Source: HuMoR (Rempe et al. 2021), section 3.3 (closed chains); the others are ours. Its training code takes numbers as
+they are, and AMASS, whose hundreds of people bring their own bodies.
+Differs: errors are counted in units that matter per part (``ERROR_UNITS``) with a Huber loss; gradients flow through
+some steps before the state is cut off (the official code cuts off every one) and are clipped; cosine decay; what ships
+is a moving average; joints of the pose come from forward kinematics, without vertices; a linear layer past the decoder
 begins at "goes on at its velocity"; velocities are backward differences; a joint that a recording lacks teaches nothing
 of its rotation.
 """
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from motionlab import rotation
+from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
+from motionlab.humor import body_shape, state
 from motionlab.humor.cvae import Cvae, Gaussian, kl
-from motionlab.humor.state import DELTA_SLICES, SHAPES, apply, globalise, heading, localise, transition_pairs, unpack
+from motionlab.humor.state import DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, globalise, heading, localise, unpack
+from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, fk
-from motionlab.training.examples import LiveExamples
-from motionlab.training.scales import ERROR_UNITS, Scales, error_units, huber, unforeseen
-from motionlab.training.training_loop import TrainingRun, fast_halves
+from motionlab.training.training_loop import TrainingRun, fast_halves, seeded
+
+_PEOPLE = 0.7  # standard deviation, in betas, of the bodies that the motions are put on
+#: An error of one: metres, m/s, matrix entries, rad/s.
+ERROR_UNITS = {
+    "trans": 0.003, "trans_vel": 0.04, "root_orient": 0.008, "root_orient_vel": 0.1,
+    "pose_body": 0.012, "joints": 0.003, "joints_vel": 0.05,
+}  # fmt: skip
+_SURE = -3.0  # log variance of z at first, from the posterior
 
 
 @dataclass(frozen=True)
@@ -60,9 +76,6 @@ class ChainRecipe:
     slide: float = 0.1
     average: float = 0.999
     seed: int = 0
-
-
-_SURE = -3.0  # log variance of z at first, from the posterior
 
 
 @torch.no_grad()
@@ -98,11 +111,9 @@ class ChainTraining(TrainingRun):
             raise DataError(f"windows of {examples.length} states for {recipe.length} transitions")
         self.examples = examples
         some, *_ = examples.drawn(2000, torch.Generator().manual_seed(recipe.seed))
-        pairs = tuple(x.flatten(0, 1) for x in transition_pairs(some))
+        pairs = tuple(x.flatten(0, 1) for x in state.transition_pairs(some))
         self.scales = replace(Scales.measure(*pairs), half=fast_halves())
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(recipe.seed)
-            model = Cvae(recipe.width, skip=True, direct=True)
+        model = seeded(recipe.seed, lambda: Cvae(recipe.width, skip=True, direct=True))
         torch.nn.init.zeros_(model.skip.weight)
         with torch.no_grad():
             model.decoder.net[-1].weight *= 0.1
@@ -131,7 +142,7 @@ class ChainTraining(TrainingRun):
                 q = self.scales.posterior(self.model, past[:closed], now[:closed])
                 p = self.scales.prior(self.model, past[judged:])
                 z = torch.cat((q.sample(self.generator), known[t], p.sample(self.generator).detach()))
-                steps.append(apply(past, self.scales.decode(self.model, past, z)))  # states after in the frame before
+                steps.append(state.apply(past, self.scales.decode(self.model, past, z)))  # in the frame before
                 pasts.append(past[:closed]), posteriors.append(q), targets.append(now)
                 given = torch.rand(recipe.batch, 1, generator=self.generator) < truth
                 x = torch.where(given, states[:, t + 1], globalise(steps[-1][0], frame))
@@ -153,7 +164,7 @@ class ChainTraining(TrainingRun):
         count, length = len(states), states.shape[1] - 1
         if not count:
             return [states.new_zeros(0, self.model.latent)] * length
-        past, now = (x.flatten(0, 1) for x in transition_pairs(states))
+        past, now = (x.flatten(0, 1) for x in state.transition_pairs(states))
         q, p = self.scales.posterior(self.model, past, now), self.scales.prior(self.model, past)
         self._along_kl = kl(q, p).sum(-1).mean()
         return list(q.sample(self.generator).unflatten(0, (count, length)).unbind(1))
@@ -175,3 +186,156 @@ class ChainTraining(TrainingRun):
             "contact": F.binary_cross_entropy_with_logits(logits[:judged], contacts[:judged]),
             "slide": (logits.sigmoid() * speed).mean(),
         }
+
+
+# -------------------------------------------------------------------------------------------------- what it learns from
+@dataclass(frozen=True, eq=False)
+class LiveExamples:
+    """Windows of states that are computed when they are drawn: half of them mirrored, each on another body.
+
+    For hours of motion, whose states would not fit into memory. Velocities are backward differences.
+
+    motions: windows of ``length`` + 1 frames with contacts, 30 fps, floor at z = 0. bodies: standard deviation of the
+    bodies' betas; one recording in three keeps its own.
+    """
+
+    motions: Windows
+    length: int
+    bodies: float = _PEOPLE
+
+    def drawn(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Draws windows evenly over all frames: states (B, L, 339), contacts (B, L, 9), offsets (B, 22, 3), and which
+        joints' rotations were recorded (B, 22), bool."""
+        motion, clip = self.motions.drawn(count, generator)
+        betas = self.bodies * torch.randn(count, body_shape.BETAS, generator=generator)
+        betas = betas * (torch.rand(count, 1, generator=generator) < 2 / 3)
+        motion = _grown(motion, body_shape.scales(betas)[:, None, :, None])
+        states = state.from_motion(motion, causal=True)
+        seen = self.motions.seen
+        recorded = torch.ones(count, len(STANDARD), dtype=torch.bool) if seen is None else seen[clip]
+        return states[:, 1:], motion.contacts[:, 1:], motion.skeleton.offsets[:, 0], recorded
+
+    @property
+    def digest(self) -> str:
+        """Computes a hash of all numbers, for the recipe."""
+        return self.motions.digest
+
+
+def random_body(motion: Motion, generator: torch.Generator) -> Motion:
+    """Puts the same angles on a body drawn at random; the path grows with the legs, so that feet hardly slide."""
+    betas = _PEOPLE * torch.randn(body_shape.BETAS, generator=generator)
+    return _grown(motion, body_shape.scales(betas)[:, None])
+
+
+def _grown(motion: Motion, scale: Tensor) -> Motion:
+    """A motion whose bones are so many times as long, (..., 22, 1)."""
+    offsets, legs = motion.skeleton.offsets * scale, STANDARD.indices(["left_knee", "left_ankle"])
+    longer, before = (x[..., legs, :].norm(dim=-1).sum(-1) for x in (offsets, motion.skeleton.offsets))
+    root = motion.root * (longer / before)[..., None]
+    return replace(motion, skeleton=replace(motion.skeleton, offsets=offsets), root=root)
+
+
+# ----------------------------------------------------------------------------------------------------- units and scales
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Standardisation of states (339,) in their canonical frame, and the size of the raw output (216,).
+
+    half: networks compute in bfloat16, which some processors do several times faster; weights stay in single precision.
+    """
+
+    mean: Tensor
+    std: Tensor
+    change: Tensor
+    half: bool = False
+
+    @classmethod
+    def measure(cls, past: Tensor, now: Tensor) -> Scales:
+        """From transitions (N, 339), both in the frame of the past state; the change is what differs from going on at
+        the velocity."""
+        change = unforeseen(past, now).std(0).clamp(min=1e-4)
+        change[DELTA_SLICES["contacts"]] = 3.0
+        return cls(past.mean(0), past.std(0).clamp(min=1e-3), change)
+
+    def rows(self, past: Tensor, now: Tensor) -> Tensor:
+        """What the encoder takes (N, 678): the second state enters as its change, in units of 16 errors."""
+        return torch.cat(((past - self.mean) / self.std, (now - past) / (16 * error_units(SLICES))), -1)
+
+    def posterior(self, model: Cvae, past: Tensor, now: Tensor) -> Gaussian:
+        """q(z | past, now)."""
+        rows = self.rows(past, now)
+        with self._precision():
+            mean, log_var = model.encoder(rows).to(past).chunk(2, -1)
+        return Gaussian(mean + model.direct(rows), log_var)
+
+    def prior(self, model: Cvae, past: Tensor) -> Gaussian:
+        """p(z | past)."""
+        with self._precision():
+            return Gaussian(*model.prior_net((past - self.mean) / self.std).to(past).chunk(2, -1))
+
+    def decode(self, model: Cvae, past: Tensor, z: Tensor) -> Tensor:
+        """Raw changes and contact logits (N, 216)."""
+        rows = (past - self.mean) / self.std
+        with self._precision():
+            raw = model.decoder(torch.cat((rows, z), -1)).to(past) + model.skip(rows).to(past)
+        return raw * self.change + past @ ONWARD.mT.to(past)
+
+    def _precision(self) -> torch.autocast:
+        return torch.autocast("cpu", torch.bfloat16, enabled=self.half)
+
+    def folded(self, model: Cvae) -> Cvae:
+        """The model that computes the same from plain numbers, by its weights alone."""
+        model = deepcopy(model)
+        with torch.no_grad():
+            encoding = model.encoder.net[0], model.direct
+            for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
+                first.bias -= first.weight[:, :STATE] @ (self.mean / self.std)
+                first.weight[:, :STATE] /= self.std
+            for first in encoding:
+                first.weight[:, STATE:] /= 16 * error_units(SLICES)
+                first.weight[:, :STATE] -= first.weight[:, STATE:]
+            model.decoder.net[-1].weight *= self.change[:, None]
+            model.decoder.net[-1].bias *= self.change
+            weight = self.change[:, None] * model.skip.weight / self.std
+            model.decoder.net[-1].bias -= weight @ self.mean
+            model.skip.weight.copy_(weight + ONWARD)
+        return model
+
+    def unfolded(self, model: Cvae) -> Cvae:
+        """The weights that ``folded`` makes this model of: what training goes on from."""
+        model = deepcopy(model)
+        with torch.no_grad():
+            encoding = model.encoder.net[0], model.direct
+            for first in encoding:
+                first.weight[:, :STATE] += first.weight[:, STATE:]
+                first.weight[:, STATE:] *= 16 * error_units(SLICES)
+            for first in (*encoding, model.prior_net.net[0], model.decoder.net[0]):
+                first.weight[:, :STATE] *= self.std
+                first.bias += first.weight[:, :STATE] @ (self.mean / self.std)
+            weight = model.skip.weight - ONWARD
+            model.decoder.net[-1].bias += weight @ self.mean
+            model.skip.weight.copy_(weight * self.std / self.change[:, None])
+            model.decoder.net[-1].weight /= self.change[:, None]
+            model.decoder.net[-1].bias /= self.change
+        return model
+
+
+def unforeseen(past: Tensor, now: Tensor) -> Tensor:
+    """Computes the raw changes (N, 216) of transitions (N, 339) less those of going on at the velocity; contacts 0."""
+    before, after, onward = unpack(past), unpack(now), past @ ONWARD.mT
+    change = torch.zeros(len(past), state.DELTA)
+    for name in SHAPES:
+        turned = name in state.TURNED
+        moved = rotation.log(after[name] @ before[name].mT) if turned else after[name] - before[name]
+        change[:, DELTA_SLICES[name]] = moved.flatten(1) - onward[:, DELTA_SLICES[name]]
+    return change
+
+
+def error_units(slices: dict[str, slice]) -> Tensor:
+    """Returns ``ERROR_UNITS``, one per number of a state (339,) or of raw outputs (216,), contacts 1."""
+    units = [torch.full((part.stop - part.start,), ERROR_UNITS.get(name, 1.0)) for name, part in slices.items()]
+    return torch.cat(units)
+
+
+def huber(error: Tensor) -> Tensor:
+    """Computes the mean Huber loss of errors in their units, linear from 3 on."""
+    return F.smooth_l1_loss(error, torch.zeros_like(error), beta=3.0)

@@ -5,8 +5,6 @@ errors of open 6-D numbers and contacts. A diffusion model has to say means, so 
 (over 0.2 m, and over 3 cm a frame). Source: thesis 4.1.2, whose denoiser has the same parts.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -20,7 +18,7 @@ from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.windows import Windows
 from motionlab.heading import stuck_root, world_to_local
 from motionlab.motion import Motion
-from motionlab.training.training_loop import TrainingRun, fast_halves
+from motionlab.training.training_loop import TrainingRun, fast_halves, seeded
 
 _MEASURED = 2000  # windows that the sizes of numbers are measured on
 _WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.3}
@@ -38,9 +36,7 @@ class CompleterTraining(TrainingRun):
 
     def __init__(self, recipe: CompleterRecipe, windows: Windows, start: Completer | None = None) -> None:
         self.windows = windows
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(recipe.seed)
-            model = Completer(recipe)
+        model = seeded(recipe.seed, lambda: Completer(recipe))
         if start is not None:
             model.load_state_dict(start.state_dict())
         else:

@@ -1,8 +1,6 @@
 """What is trained without end, each by what, on what, and judged how: completers, the thesis's own denoiser and the
 transition prior; see ``train_more``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,10 +23,9 @@ from motionlab.humor.cvae import Cvae, from_weights, official_weights
 from motionlab.humor.quality import quality_row
 from motionlab.motion import Motion
 from motionlab.training import train_more
-from motionlab.training.chain_training import ChainRecipe, ChainTraining
+from motionlab.training.chain_training import ChainRecipe, ChainTraining, LiveExamples
 from motionlab.training.completer_training import CompleterTraining
 from motionlab.training.denoiser_training import DenoiserTraining
-from motionlab.training.examples import LiveExamples
 from motionlab.training.model_card import person_states
 from motionlab.training.train_more import learnt_from
 from motionlab.training.training_loop import fast_halves

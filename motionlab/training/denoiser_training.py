@@ -9,8 +9,6 @@ decay, clipped gradients; what ships is a moving average (MDM: chosen by FID, by
 the run's generator; gradients not finite are skipped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 
@@ -25,7 +23,8 @@ from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, check_shape
 from motionlab.motion import FPS
-from motionlab.training.training_loop import TrainingRun
+from motionlab.skeleton import STANDARD
+from motionlab.training.training_loop import TrainingRun, seeded
 
 _MEASURED = 2000  # windows that the normaliser is measured on
 
@@ -41,9 +40,7 @@ class DenoiserTraining(TrainingRun):
             message = f"windows of {windows.length} frames at {windows.fps:g} fps; expected {recipe.frames} at {FPS:g}"
             raise DataError(message, remedy="gather windows of the recipe's length from motions at 30 fps")
         self.windows, self.layout, self.schedule, self.clip = windows, recipe.layout, recipe.schedule, recipe.clip
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(recipe.seed)
-            model = recipe.denoiser()
+        model = seeded(recipe.seed, recipe.denoiser)
         if start is None:
             some = self.layout.encode(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))
             sizes = Normaliser.measure(some, self.layout, root_unit=recipe.root_unit)
@@ -82,15 +79,9 @@ class DenoiserTraining(TrainingRun):
 
 
 def denoising_losses(
-    estimate: Tensor,
-    truth: Tensor,
-    layout: Layout,
-    normaliser: Normaliser,
-    offsets: Tensor,
-    *,
-    parts: Collection[str] = ("simple", "fk", "velocity", "contact"),
-    seen: Tensor | None = None,
-) -> dict[str, Tensor]:
+    estimate: Tensor, truth: Tensor, layout: Layout, normaliser: Normaliser, offsets: Tensor, *,
+    parts: Collection[str] = ("simple", "fk", "velocity", "contact"), seen: Tensor | None = None,
+) -> dict[str, Tensor]:  # fmt: skip
     """Computes the training losses by name, each a mean over windows and frames.
 
     simple: mean square of normalised numbers. velocity: of their change between frames, root and rotations only.
@@ -114,7 +105,7 @@ def denoising_losses(
         found["velocity"] = error[..., : layout.slices["pose"].stop].diff(dim=1).square().mean()
     if not {"fk", "contact"} & set(parts):
         return found
-    skeleton, rows = replace(layout.skeleton, offsets=offsets[:, None]), normaliser.undo(estimate)
+    skeleton, rows = replace(STANDARD, offsets=offsets[:, None]), normaliser.undo(estimate)
     joints = layout.decode(rows, 1.0, skeleton).positions
     if "fk" in parts:
         true = layout.decode(normaliser.undo(truth), 1.0, skeleton).positions

@@ -1,7 +1,5 @@
 """Trains the autoencoder in whose latent features generated motion is judged (``diffusion.encoder``)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -12,7 +10,7 @@ from motionlab.diffusion.encoder import FEATURE_GROUPS, Autoencoder, EncoderReci
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
-from motionlab.training.training_loop import TrainingRun
+from motionlab.training.training_loop import TrainingRun, seeded
 
 
 class _EncoderRun(TrainingRun):
@@ -23,9 +21,7 @@ class _EncoderRun(TrainingRun):
 
     def __init__(self, recipe: EncoderRecipe, windows: Windows) -> None:
         generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(recipe.seed)
-            network = Autoencoder(recipe)
+        network = seeded(recipe.seed, lambda: Autoencoder(recipe))
         self.mean, self.scale = _moments(signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
         self.weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
         optimiser = torch.optim.Adam(network.parameters(), recipe.lr)

@@ -4,8 +4,6 @@ python -m motionlab models --data FOLDER    # measures on ``test`` people, into 
 python -m motionlab models                  # writes checkpoints/README.md from the recipes
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

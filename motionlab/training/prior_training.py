@@ -6,8 +6,6 @@ velocities among the features are fixed by others, so that 1e-6 asks the optimis
 millimetre per second.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -19,7 +17,7 @@ from motionlab.errors import DataError, check_shape
 from motionlab.humor.cvae import Gaussian, kl
 from motionlab.humor.priors import POSE_LATENT, InitGmm, PosePrior
 from motionlab.skeleton import STANDARD, fk
-from motionlab.training.training_loop import TrainingRun
+from motionlab.training.training_loop import TrainingRun, seeded
 
 _COMPONENTS = 12
 MIXTURE_RIDGE = 1e-4  # square metres, or (metres per second)^2: one centimetre
@@ -93,9 +91,7 @@ class _PosePriorRun(TrainingRun):
     def __init__(
         self, recipe: _PoseRecipe, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator
     ) -> None:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(int(torch.randint(2**31, (), generator=generator)))
-            model = PosePrior()
+        model = seeded(int(torch.randint(2**31, (), generator=generator)), PosePrior)
         with torch.no_grad():
             model.out.weight.mul_(0.1)
             model.out.bias.copy_(rotation.matrix_to_sixd(torch.eye(3)).repeat(21))
@@ -113,15 +109,9 @@ class _PosePriorRun(TrainingRun):
 
 
 def train_pose_prior(
-    rot: Tensor,
-    generator: torch.Generator,
-    *,
-    steps: int = 4000,
-    batch: int = 256,
-    weight: Tensor | None = None,
-    seen: Tensor | None = None,
-    progress: bool = True,
-) -> tuple[PosePrior, list[tuple[int, float, float]]]:
+    rot: Tensor, generator: torch.Generator, *, steps: int = 4000, batch: int = 256, weight: Tensor | None = None,
+    seen: Tensor | None = None, progress: bool = True,
+) -> tuple[PosePrior, list[tuple[int, float, float]]]:  # fmt: skip
     """Trains a pose prior on poses (N, 21, 3, 3).
 
     weight (N,): how often each pose is drawn, relative to the others. seen (N, 21): False where a rotation was not
@@ -168,18 +158,13 @@ def samples(model: PosePrior, count: int, generator: torch.Generator) -> Tensor:
 
 
 def fit_mixture(
-    features: Tensor,
-    generator: torch.Generator,
-    *,
-    components: int = _COMPONENTS,
-    steps: int = 100,
-    ridge: float = MIXTURE_RIDGE,
-    tolerance: float = 1e-2,
-) -> tuple[InitGmm, list[float]]:
+    features: Tensor, generator: torch.Generator, *, components: int = _COMPONENTS, ridge: float = MIXTURE_RIDGE,
+) -> tuple[InitGmm, list[float]]:  # fmt: skip
     """Fits a mixture to features (N, D) by expectation-maximisation, started from k-means++ and a few steps of k-means.
 
     Returns:
-        the mixture, and the mean log-likelihood (nats) before each step, until that grows by less than ``tolerance``.
+        the mixture, and the mean log-likelihood (nats) before each of at most 100 steps, until that grows by less than
+        0.01.
     Raises:
         DataError: fewer samples than features, or numbers that are not finite.
     """
@@ -191,12 +176,12 @@ def fit_mixture(
     x = features.double()
     share = torch.nn.functional.one_hot(_clusters(x, components, generator), components).double()
     history: list[float] = []
-    for _ in range(steps):
+    for _ in range(100):
         gmm = _maximise(x, share, ridge)
         joint = gmm.each(x)
         total = joint.logsumexp(-1)
         history.append(float(total.mean()))
-        if len(history) > 1 and history[-1] - history[-2] < tolerance:
+        if len(history) > 1 and history[-1] - history[-2] < 1e-2:
             break
         share = (joint - total[:, None]).exp()
     return gmm, history

@@ -1,7 +1,5 @@
 """Trains and writes the small checkpoints that ship: pose prior, initial-state mixture and motion encoder."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -21,7 +19,7 @@ from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 from motionlab.training import encoder_training, prior_training
-from motionlab.training.examples import random_body
+from motionlab.training.chain_training import random_body
 
 STEPS = 4000  # of the pose prior
 _COMMAND = "python -m motionlab train small --data FOLDER"

@@ -1,7 +1,5 @@
 """``python -m motionlab train``: make a checkpoint from synthetic motion and the recordings that may be used."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from dataclasses import replace

@@ -5,8 +5,6 @@ weights are judged on the validation people; only better ones are written. After
 from the best weights, at half the rate. When it is killed, nothing but the last minutes is lost.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import hashlib

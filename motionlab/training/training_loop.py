@@ -6,8 +6,6 @@ is made of the network. A run is saved whole or not at all, and read without exe
 Source: Polyak and Juditsky 1992, averaged weights, here with a moving average that warms up.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -39,6 +37,13 @@ def fast_halves() -> bool:
     return torch.cpu._is_avx512_bf16_supported()
 
 
+def seeded(seed: int, build: Callable[[], nn.Module]) -> nn.Module:
+    """Builds a network with new weights from a seed; torch's own generator stays as it is."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return build()
+
+
 class TrainingRun(ABC):
     """A training run: everything that decides how it goes on.
 
@@ -60,14 +65,9 @@ class TrainingRun(ABC):
     warm_up, least = 100, 0.02
 
     def __init__(
-        self,
-        recipe: Any,
-        digest: str,
-        generator: torch.Generator,
-        model: nn.Module,
-        optimiser: torch.optim.Optimizer,
+        self, recipe: Any, digest: str, generator: torch.Generator, model: nn.Module, optimiser: torch.optim.Optimizer,
         **extra: Any,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.recipe, self.digest, self.generator, self.model = recipe, digest, generator, model
         self.average = {name: value.clone() for name, value in model.state_dict().items()}
         self.optimiser, self.extra = optimiser, extra
@@ -105,15 +105,9 @@ class TrainingRun(ABC):
         return self._made(self.best["weights"] if self.best else self.average)
 
     def run(
-        self,
-        *,
-        until: int | None = None,
-        keep: Path | None = None,
-        every: int = 500,
-        judge: Measure | None = None,
-        judge_every: int = 2500,
-        progress: bool = False,
-    ) -> Self:
+        self, *, until: int | None = None, keep: Path | None = None, every: int = 500, judge: Measure | None = None,
+        judge_every: int = 2500, progress: bool = False,
+    ) -> Self:  # fmt: skip
         """Trains on to the last step, or to ``until``; saves to ``keep`` every ``every`` steps and at the end.
 
         judge: measures of the averaged model, of which the first chooses ``best`` (less is better), every

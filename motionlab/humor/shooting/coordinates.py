@@ -95,10 +95,8 @@ def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
 @torch.inference_mode(False)
 @torch.no_grad()
 def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Whitening:
-    """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames.
-
-    On a CPU one clip after another: the matrices of one stay in its cache.
-    """
+    """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames. On
+    a CPU one clip after another: the matrices of one stay in its cache."""
     clips = len(unknown.z)
     if not _clip_by_clip(unknown.z):
         return _linearised(problem, unknown, ridge, stride)
@@ -121,7 +119,7 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
     states = torch.cat((first[:, None], rollout.states), 1)
     frame = state.heading(states)
     x = state.localise(states, frame)
-    past, keys = x[:, :-1], key_frames(frames - 1, stride).to(z.device)
+    past, keys = x[:, :-1], torch.tensor([*range(0, frames - 2, stride), frames - 2], device=z.device)
     some, between = past[:, keys].flatten(0, 1), partial(between_keys, keys=keys, clips=clips)
     decoded = between(derivatives.decoder_slopes(model, some, z[:, keys].flatten(0, 1)))
     moves = derivatives.transition_slopes(model, past.flatten(0, 1), z.flatten(0, 1), decoded)
@@ -164,11 +162,6 @@ def prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: floa
     rows[:, :LATENTS, n:] = torch.diag_embed(sharp)
     rows[:, LATENTS:, :XI] = (_INFORMATION * weight) ** 0.5 * of_log_var
     return rows
-
-
-def key_frames(count: int, stride: int) -> Tensor:
-    """Computes the indices of every ``stride``-th of ``count`` frames, and of the last."""
-    return torch.unique(torch.cat((torch.arange(0, count, stride), torch.tensor([count - 1]))))
 
 
 def between_keys(x: Tensor, keys: Tensor, clips: int) -> Tensor:

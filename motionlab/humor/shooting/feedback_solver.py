@@ -16,8 +16,6 @@ Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift ap
 are no unknowns of their own, and the search begins at a roll-out (``start.start_stage_3``).
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -74,15 +72,10 @@ class Plan:
 
 
 def solve(
-    problem: Problem,
-    unknown: Unknowns,
-    plan: Plan | None = None,
-    *,
-    second_start: Unknowns | None = None,
-    linearise: Callable[..., Whitening] = linearised,
-    note: Callable[[], None] = lambda: None,
+    problem: Problem, unknown: Unknowns, plan: Plan | None = None, *, second_start: Unknowns | None = None,
+    linearise: Callable[..., Whitening] = linearised, note: Callable[[], None] = lambda: None,
     progress: bool | str = False,
-) -> tuple[Unknowns, list[BatchFit]]:
+) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
     """Runs the feedback solver from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
     second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: where
@@ -160,19 +153,11 @@ def _lowest_rows(energy: Tensor, clips: int) -> Tensor:
 
 
 def _round(
-    problem: Problem,
-    unknown: Unknowns,
-    size: Tensor,
-    jumping: Tensor,
-    plan: Plan,
-    linearise: Callable[..., Whitening],
-    note: Callable[[], None],
-    progress: bool | str,
-) -> tuple[Unknowns, BatchFit, Tensor]:
-    """One linearisation and the searches around it: from where a clip is, and from where it may jump to.
-
-    size (B,): of each clip's energy. jumping: bool (B,), clips that may jump; returned anew.
-    """
+    problem: Problem, unknown: Unknowns, size: Tensor, jumping: Tensor, plan: Plan, linearise: Callable[..., Whitening],
+    note: Callable[[], None], progress: bool | str,
+) -> tuple[Unknowns, BatchFit, Tensor]:  # fmt: skip
+    """One linearisation and the searches around it: from where a clip is, and from where it may jump to. size (B,): of
+    each clip's energy. jumping: bool (B,), clips that may jump; returned anew."""
     clips = len(size)
     white = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
     who, whitener, first = _starts(problem, unknown, white, plan.mode_jumps if jumping.any() else 0, plan.tolerance)
@@ -201,19 +186,10 @@ def _round(
 
 
 def minimise_from(
-    problem: Problem,
-    unknown: Unknowns,
-    white: Whitening,
-    who: Tensor,
-    whitener: Tensor,
-    first: Tensor,
-    closures: int,
-    *,
-    nu: Tensor | None = None,
-    enough: float | Tensor = 0.0,
-    note: Callable[[], None] = lambda: None,
+    problem: Problem, unknown: Unknowns, white: Whitening, who: Tensor, whitener: Tensor, first: Tensor, closures: int,
+    *, nu: Tensor | None = None, enough: float | Tensor = 0.0, note: Callable[[], None] = lambda: None,
     progress: bool | str = False,
-) -> tuple[Unknowns, BatchFit]:
+) -> tuple[Unknowns, BatchFit]:  # fmt: skip
     """Minimises the energy from R starts around one linearisation; row r belongs to clip who[r] and starts at first (R,
     f), in coordinates of its own: shaper (R, f, f) in place of ``Whitening.first``.
 
@@ -235,7 +211,7 @@ def minimise_from(
     nu = torch.zeros_like(here.z[:, 0]) if nu is None else nu
     start = {"nu": nu.clone().requires_grad_(), "first": first.clone().requires_grad_()}
     how = {"steps": 1, "inner": closures, "max_closures": closures, "tolerance_change": enough}
-    fit = minimise_batch(energy, start, rows=True, unit=True, progress=progress, **how)
+    fit = minimise_batch(energy, start, unit=True, progress=progress, **how)
     with torch.no_grad():
         at, rolled = unwhiten(some, here, around, fit.variables)
     return replace(at, z=rolled.rollout.z[:, None]), fit
@@ -293,7 +269,7 @@ def _starts(
     if not most or not _weight(problem, unknown):
         return stay, white.first, here
     found = mixture_modes(problem, unknown, white)
-    gain, which = found.deepest(most)
+    gain, which = found.gain.topk(min(most, found.gain.shape[1]), 1)
     who, k = (gain > share * found.energy.abs()[:, None]).nonzero().unbind(1)
     whitener, begin = in_mode(white, found, who, which[who, k])
     return torch.cat((stay, who)), torch.cat((white.first, whitener)), torch.cat((here, begin))
@@ -307,10 +283,6 @@ class MixtureModes(NamedTuple):
     gain: Tensor
     where: Tensor
     matrix: Tensor
-
-    def deepest(self, most: int) -> tuple[Tensor, Tensor]:
-        """Returns the ``most`` largest gains (B, most), and which components they are."""
-        return self.gain.topk(min(most, self.gain.shape[1]), 1)
 
 
 def in_mode(white: Whitening, found: MixtureModes, who: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
@@ -326,10 +298,8 @@ def in_mode(white: Whitening, found: MixtureModes, who: Tensor, which: Tensor) -
 
 
 def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> MixtureModes:
-    """Computes, for each mixture component of the first state, how much lower the energy should be there.
-
-    Where rounding left no mode the point is a saddle, and a search from there a waste.
-    """
+    """Computes, for each mixture component of the first state, how much lower the energy should be there. Where
+    rounding left no mode the point is a saddle, and a search from there a waste."""
     clips, size = white.first.shape[:2]
     weight, gmm = _weight(problem, unknown), problem.priors.initial
     new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": white.first.new_zeros(clips, size).requires_grad_()}

@@ -18,8 +18,6 @@ Source: HuMoR (Rempe et al. 2021), section 4 (the energies), derivatives by hand
 Rao, Wright and Rawlings 1998.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -57,10 +55,8 @@ class Rows(NamedTuple):
 
 
 def _posed(x: Tensor, betas: Tensor, *, size: int, marks: bool = False) -> Body:
-    """Computes the joints of N states (N, 339), own heading frames, or the 25 landmarks, and how they move.
-
-    betas (N, 8). size: n.
-    """
+    """Computes the joints of N states (N, 339), own heading frames, or the 25 landmarks, and how they move. betas
+    (N, 8). size: n."""
     rot = x[:, ADDED:].unflatten(1, (_J, 3, 3)).mT
     bones = offsets(betas)
     p, turns = fk(replace(STANDARD, offsets=bones), x[:, :3], rot)
@@ -107,16 +103,9 @@ def _own_joints(x: Tensor, size: int) -> Body:
 
 
 def residual_rows(
-    x: Tensor,
-    turn: Tensor,
-    shift: Tensor,
-    steps: Tensor,
-    betas: Tensor,
-    camera: Tensor | None,
-    touching: Tensor,
-    evidence: Evidence,
-    weights: dict[str, float],
-) -> Rows:
+    x: Tensor, turn: Tensor, shift: Tensor, steps: Tensor, betas: Tensor, camera: Tensor | None, touching: Tensor,
+    evidence: Evidence, weights: dict[str, float],
+) -> Rows:  # fmt: skip
     """Computes all rows of B clips of T frames.
 
     x (B, T, 339): states in their own frames, order of ``state``. turn (B, T, 3, 3), shift (B, T, 3): world to own,
@@ -224,11 +213,8 @@ def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge
 
 
 def factorised(h: Tensor) -> Tensor:
-    """Computes Cholesky factors (B, m, m) from symmetric matrices.
-
-    A matrix that rounding made indefinite gets more on its diagonal. One that is not finite gives the identity, so that
-    one bad clip does not end the others.
-    """
+    """Computes Cholesky factors (B, m, m) from symmetric matrices. A matrix that rounding made indefinite gets more on
+    its diagonal. One that is not finite gives the identity, so that one bad clip does not end the others."""
     factor, bad = torch.linalg.cholesky_ex(h)
     if not bad.any():
         return factor

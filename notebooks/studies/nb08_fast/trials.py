@@ -194,7 +194,7 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
     with torch.no_grad():
         begun = sum(stages.motion_terms(task.problem, old(point, slice(None)), **what).values())
     enough = how.tolerance * begun.abs().nan_to_num(0.0, 0.0, 0.0)
-    fit = minimise_batch(energy, point, steps=1, inner=inner, memory=how.memory, rows=True, tolerance_change=enough)
+    fit = minimise_batch(energy, point, steps=1, inner=inner, memory=how.memory, tolerance_change=enough)
     return old(fit.variables, slice(None)).detached()
 
 
