@@ -101,8 +101,11 @@ def penetration(motion: Motion) -> Tensor:
 
 
 def arm_depth(motion: Motion) -> Tensor:
-    """Metres (..., T) by which forearms and the lower halves of upper arms are inside the trunk. Trunk: TRUNK metres
-    around the strip FLANK to both sides of the line from pelvis to spine3. Arms: ARM metres around nine points each."""
+    """Metres (..., T) by which forearms and the lower halves of upper arms are inside the trunk.
+
+    Trunk: TRUNK metres around the strip FLANK to both sides of the line from pelvis to spine3. Arms: ARM metres
+    around nine points each.
+    """
     p, orientations = motion.world
     low, high = (p[..., motion.skeleton.index(name), :] for name in ("pelvis", "spine3"))
     along = high - low

@@ -66,7 +66,9 @@ def soft_clip(x: Tensor, low: float | Tensor, high: float | Tensor, margin: floa
 
 def soft_min(values: Tensor, sharpness: float | Tensor) -> Tensor:
     """Smooth minimum over the last axis (n): never above the true one, at most ``sharpness * log(n)`` below it.
-    sharpness: a number, or one for each minimum (...)."""
+
+    sharpness: a number, or one for each minimum (...).
+    """
     sharpness = torch.as_tensor(sharpness, dtype=values.dtype)
     return -sharpness * torch.logsumexp(-values / sharpness[..., None], -1)
 

@@ -44,8 +44,10 @@ class Take:
 
 
 def perform(score: Score, fps: float = 30.0) -> Take:
-    """Play a score from time 0 to the time reached, at any frame rate. Feet, knees and hands that the score plants stay
-    where they are; the pelvis gives way to them."""
+    """Play a score from time 0 to the time reached, at any frame rate.
+
+    Feet, knees and hands that the score plants stay where they are; the pelvis gives way to them.
+    """
     frames = max(2, round(score.now * fps))
     t = torch.arange(frames, dtype=torch.float64) / fps
     control = _controls(score, t)

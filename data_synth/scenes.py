@@ -148,8 +148,10 @@ def without(scene: Scene, frames: Iterable[int]) -> Scene:
 
 
 def gap_frames(place: str, length: int, frames: int = 60) -> list[int]:
-    """``length`` frames, the clip's at most, at its beginning ("first"), from its middle on ("middle") or at its end. A
-    gap that would reach beyond the end begins earlier."""
+    """``length`` frames, the clip's at most, at its beginning ("first"), from its middle on ("middle") or at its end.
+
+    A gap that would reach beyond the end begins earlier.
+    """
     length = min(length, frames)
     start = {"first": 0, "middle": min(frames // 2, frames - length), "last": frames - length}[place]
     return list(range(start, start + length))

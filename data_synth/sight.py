@@ -18,8 +18,11 @@ FACES_AT_ONCE = 1_000_000  # per scene: bounds memory on long clips
 
 @dataclass(frozen=True, eq=False)
 class Shell:
-    """A coarser skin of a body whose vertices are some of the body's own. vertices (N,): indices into the body's. faces
-    (F, 3): indices into ``vertices``. carrier (F,): the joint that carries most of each face."""
+    """A coarser skin of a body whose vertices are some of the body's own.
+
+    vertices (N,): indices into the body's. faces (F, 3): indices into ``vertices``. carrier (F,): the
+    joint that carries most of each face.
+    """
 
     vertices: Tensor
     faces: Tensor

@@ -186,8 +186,10 @@ def geodesic(a: Tensor, b: Tensor) -> Tensor:
 
 
 def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """Interpolates a fraction ``weight`` (...) of the way along the shortest path from a to b (..., 3, 3). For
-    rotations exactly a half turn apart two paths are shortest; one of them is taken."""
+    """Interpolates a fraction ``weight`` (...) of the way along the shortest path from a to b (..., 3, 3).
+
+    For rotations exactly a half turn apart two paths are shortest; one of them is taken.
+    """
     return a @ exp(weight[..., None] * log(a.mT @ b))
 
 
@@ -215,8 +217,10 @@ def mean(rotations: Tensor) -> Tensor:
 
 
 def rotation_between(a: Tensor, b: Tensor) -> Tensor:
-    """Computes the smallest rotation (..., 3, 3) that turns the direction a (..., 3) into b (..., 3). Opposite
-    directions have no unique one: then a half turn about some axis at right angles to a."""
+    """Computes the smallest rotation (..., 3, 3) that turns the direction a (..., 3) into b (..., 3).
+
+    Opposite directions have no unique one: then a half turn about some axis at right angles to a.
+    """
     a, b = (torch.nn.functional.normalize(x, dim=-1) for x in torch.broadcast_tensors(a, b))
     behind = (a * b).sum(-1, keepdim=True) < 0
     axis = torch.linalg.cross(a, b, dim=-1)

@@ -36,7 +36,9 @@ def walk(
     score: Score, *, seconds: float = 4.0, speed: float | None = None, turn: float = 0.0, manner: str | None = None,
 ) -> None:  # fmt: skip
     """Walk for about ``seconds`` at ``speed`` m/s (drawn if None) while the heading changes by ``turn`` radians.
-    manner: None, or one of MANNERS; people who step backwards or sideways keep to about half the speed."""
+
+    manner: None, or one of MANNERS; people who step backwards or sideways keep to about half the speed.
+    """
     speed = score.uniform(0.8, 1.6) if speed is None else speed
     with score.action("walk"):
         length, step_time, gait = walking_gait(score, speed)

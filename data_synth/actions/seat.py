@@ -98,8 +98,10 @@ def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) ->
 def jump(
     score: Score, *, height: float | None = None, distance: float | None = None, spin: float | None = None
 ) -> None:
-    """Jump off both feet: ``height`` metres of flight, ``distance`` metres ahead, ``spin`` radians on the way. Crouch,
-    extend, fly as gravity has it (z'' = -g between take-off and landing), absorb."""
+    """Jump off both feet: ``height`` metres of flight, ``distance`` metres ahead, ``spin`` radians on the way.
+
+    Crouch, extend, fly as gravity has it (z'' = -g between take-off and landing), absorb.
+    """
     s, v = score.subject, score.uniform
     height = v(0.10, 0.32) if height is None else height
     distance = score.choose((0.0, v(0.1, 0.6))) if distance is None else distance

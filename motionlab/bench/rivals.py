@@ -42,8 +42,10 @@ FILTERS: Mapping[str, tuple[Callable, Mapping[str, Sequence]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Rivals:
-    """Training windows as rows (N, T D) of normalised numbers without contacts, in the stuck frame. mean (T D,); factor
-    F (T D, K). ridge: the weight w."""
+    """Training windows as rows (N, T D) of normalised numbers without contacts, in the stuck frame.
+
+    mean (T D,); factor F (T D, K). ridge: the weight w.
+    """
 
     layout: Layout
     normaliser: Normaliser
@@ -170,8 +172,10 @@ def _principal(rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
 
 # ------------------------------------------------------------------------------------------------------- filters
 def filtered(motion: Motion, name: str, **settings: float) -> Motion:
-    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres. The Kalman
-    smoother's strength of acceleration is per unit of noise."""
+    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres.
+
+    The Kalman smoother's strength of acceleration is per unit of noise.
+    """
     apply, _ = FILTERS[name]
     return baselines.smooth(motion, lambda x: apply(x, motion.fps, **settings))
 

@@ -25,8 +25,10 @@ def _sines(count: int, size: int) -> Tensor:
 
 
 class Denoiser(nn.Module):
-    """features: numbers per frame. size: of a token. patch: frames in a token. "small", "compact" and "thesis" sizes:
-    ``SIZES``."""
+    """features: numbers per frame. size: of a token. patch: frames in a token.
+
+    "small", "compact" and "thesis" sizes: ``SIZES``.
+    """
 
     def __init__(
         self, features: int, *, size: int = 512, layers: int = 8, heads: int = 4, hidden: int = 1024,

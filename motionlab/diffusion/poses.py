@@ -64,8 +64,10 @@ class Poser(nn.Module):
         self.register_buffer("scale", torch.ones(NUMBERS))
 
     def forward(self, targets: Tensor, which: Tensor, noisy: Tensor, angle: Tensor) -> Tensor:
-        """Computes an estimate of x (B, ``NUMBERS``) from handles, what noise left of x, and the angle (B,). Pure noise
-        is not read."""
+        """Computes an estimate of x (B, ``NUMBERS``) from handles, what noise left of x, and the angle (B,).
+
+        Pure noise is not read.
+        """
         which = which[..., None] & self.recipe.conditioned
         held = torch.cat((torch.where(which, targets, 0.0), which.to(targets)), -1).flatten(1)
         noisy = torch.where(angle[:, None] < math.pi / 2, noisy, 0.0)

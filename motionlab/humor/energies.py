@@ -124,8 +124,10 @@ def contact_probabilities(logits: Tensor) -> Tensor:
 
 
 def contact_vel(joints: Tensor, contacts: Tensor) -> Tensor:
-    """Computes 1/2 sum p_t |J_t - J_{t-1}|^2: a joint in contact does not move. joints (B, T, N, 3) with contacts
-    (B, T, N), or 22 joints with the nine of ``CONTACT_JOINTS``."""
+    """Computes 1/2 sum p_t |J_t - J_{t-1}|^2: a joint in contact does not move.
+
+    joints (B, T, N, 3) with contacts (B, T, N), or 22 joints with the nine of ``CONTACT_JOINTS``.
+    """
     joints = _touching(joints, contacts)
     return 0.5 * _per_clip(contacts[:, 1:] * joints.diff(dim=1).square().sum(-1))
 

@@ -141,8 +141,10 @@ class InitGmm:
         return constant - 0.5 * white.square().sum(-1)
 
     def whitened(self, features: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Computes W_k (features - m_k) (B, K, D), W_k slopes (B, K, D, n) and c_k (K,) from slopes (B, D, n). ``each``
-        is c_k - 1/2 |W_k (features - m_k)|^2; float64."""
+        """Computes W_k (features - m_k) (B, K, D), W_k slopes (B, K, D, n) and c_k (K,) from slopes (B, D, n).
+
+        ``each`` is c_k - 1/2 |W_k (features - m_k)|^2; float64.
+        """
         rows, shift, constant = (x.to(features.device) for x in self._white)
         sizes = self.means.shape
         off = (features.double() @ rows.mT - shift).unflatten(-1, sizes)

@@ -116,8 +116,10 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def interpolate_unseen(trans: Tensor, turn: Tensor, known: Tensor, fps: float) -> tuple[Tensor, Tensor]:
-    """Computes root (B, T, 3) and orientation (B, T, 3, 3) interpolated where not ``known`` (B, T); ends hold. A clip
-    of which nothing is known stands upright at the origin, its feet on the floor, and looks along +y."""
+    """Computes root (B, T, 3) and orientation (B, T, 3, 3) interpolated where not ``known`` (B, T); ends hold.
+
+    A clip of which nothing is known stands upright at the origin, its feet on the floor, and looks along +y.
+    """
     none = ~known.any(-1)
     up, height = UPRIGHT.to(turn), STANDARD.standing_height().to(trans)
     trans = torch.where(none[:, None, None], torch.nn.functional.pad(height[None], (2, 0)), trans)

@@ -148,8 +148,10 @@ def heading(state: Tensor) -> Frame:
 
 
 def localise(state: Tensor, frame: Frame) -> Tensor:
-    """Computes states (..., 339) in the coordinates of a frame (...). trans -> A (t + s), joints -> A (j + s),
-    velocities and root orientation are turned by A, the pose stays."""
+    """Computes states (..., 339) in the coordinates of a frame (...).
+
+    trans -> A (t + s), joints -> A (j + s), velocities and root orientation are turned by A, the pose stays.
+    """
     return _moved(state, frame, headings.world_to_local_positions, headings.world_to_local_orientations)
 
 

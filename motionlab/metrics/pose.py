@@ -75,8 +75,10 @@ def joint_errors(predicted: Tensor, truth: Tensor, *, align: str) -> Tensor:
 
 
 def mpjpe(predicted: Tensor, truth: Tensor, *, align: str, mask: Tensor | None = None) -> Tensor:
-    """Computes the mean per-joint position error (...) in metres; ``mask`` (..., T, J) chooses what counts. All joints
-    take part in the alignment (see :func:`joint_errors`), also those that do not count."""
+    """Computes the mean per-joint position error (...) in metres; ``mask`` (..., T, J) chooses what counts.
+
+    All joints take part in the alignment (see :func:`joint_errors`), also those that do not count.
+    """
     return masked_mean(joint_errors(predicted, truth, align=align), mask, 2)
 
 

@@ -129,8 +129,10 @@ def run_side_by_side(
 
 
 def regenerate(names: Sequence[str] = ()) -> list[Run]:
-    """Runs notebooks in place with the full profile and takes fingerprints: what is committed is what the code gives. A
-    notebook that fails keeps its file."""
+    """Runs notebooks in place with the full profile and takes fingerprints: what is committed is what the code gives.
+
+    A notebook that fails keeps its file.
+    """
     environment = {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_BATCH": "1", "MOTIONLAB_RECORD": "1"} | data_variable()
     runs = []
     for path in find_notebooks(names):
@@ -144,8 +146,11 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
 # -------------------------------------------------------------------------------------------------------- fingerprints
 def take_fingerprints(names: Sequence[str] = (), *, again: bool = False) -> list[Run]:
     """Runs notebooks in the smoke profile and writes what they measure, and a hash of their cells, into their records.
-    For a record without a fingerprint, or whose cells were reworded: the full findings stay as they are. again: take it
-    also where it differs from the recorded one, as where a budget of the smoke profile was changed."""
+
+    For a record without a fingerprint, or whose cells were reworded: the full findings stay as they are.
+
+    again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
+    """
     apart = f"taken again on {date.today()}, apart from the full run" if again else ""
     return [_with_fingerprint(path, Run(path.stem, 0.0), again, apart) for path in find_notebooks(names)]
 

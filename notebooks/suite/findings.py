@@ -81,9 +81,12 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Claim:
-    """One row of the ledger: where the thesis says it, its words, and the tests that decide it. answer: what we found,
-    in a sentence whose numbers are named, not typed. condition, needs: what a verdict of "true when" or "undecided"
-    asks for. carriers: the tests that carry it, where others only add. figure: the one that shows it."""
+    """One row of the ledger: where the thesis says it, its words, and the tests that decide it.
+
+    answer: what we found, in a sentence whose numbers are named, not typed. condition, needs: what a verdict of "true
+    when" or "undecided" asks for. carriers: the tests that carry it, where others only add. figure: the one that shows
+    it.
+    """
 
     id: str
     section: str
@@ -168,8 +171,10 @@ def all_tests(claims: dict[str, Claim]) -> dict[str, Criterion]:
 
 
 def judge(test: Criterion, low: float, high: float, n: int) -> str:
-    """Returns the verdict on one measurement: the whole interval must lie on one side of the bound, or in the band. Too
-    few samples, a NaN, or an interval across the bound cannot be judged."""
+    """Returns the verdict on one measurement: the whole interval must lie on one side of the bound, or in the band.
+
+    Too few samples, a NaN, or an interval across the bound cannot be judged.
+    """
     if n < test.least or not (math.isfinite(low) and math.isfinite(high)):
         return UNJUDGED
     if high < test.ends[0] or low > test.ends[1]:
@@ -179,10 +184,12 @@ def judge(test: Criterion, low: float, high: float, n: int) -> str:
 
 @dataclass(frozen=True)
 class Record:
-    """What one full run of one notebook found: ``results/NN.json``. fingerprint: what the smoke profile of the same
-    notebook measures (``staleness``), and what more or else it measures on recordings. weights: checksums of the
-    checkpoints that it loads. recordings: of the lists of recordings, by source. Both as they were when the fingerprint
-    was taken."""
+    """What one full run of one notebook found: ``results/NN.json``.
+
+    fingerprint: what the smoke profile of the same notebook measures (``staleness``), and what more or else it measures
+    on recordings. weights: checksums of the checkpoints that it loads. recordings: of the lists of recordings, by
+    source. Both as they were when the fingerprint was taken.
+    """
 
     notebook: str
     source_hash: str
@@ -199,8 +206,11 @@ class Record:
         return float(self.provenance["seconds"]) if "seconds" in self.provenance else None
 
     def expected(self, recordings: dict[str, str]) -> Fingerprint:
-        """Returns what a smoke run must measure beside these recordings. Without recordings, the fingerprint on
-        synthetic motion; with those of the record, also that on them; with others only what does not depend on them."""
+        """Returns what a smoke run must measure beside these recordings.
+
+        Without recordings, the fingerprint on synthetic motion; with those of the record, also that on them; with
+        others only what does not depend on them.
+        """
         if not recordings:
             return self.fingerprint
         if self.recordings and self.recordings.items() <= recordings.items():

@@ -62,8 +62,10 @@ def _says(test: Criterion, finding: Finding, void: set[str]) -> str:
 
 
 def verdict(claim: Claim, found: Iterable[Finding]) -> str:
-    """Returns the verdict on a claim: that of its claim tests, where any is informative. Refuted where most rows of the
-    tests that carry it fail and none holds (``carriers``; all, where none are named)."""
+    """Returns the verdict on a claim: that of its claim tests, where any is informative.
+
+    Refuted where most rows of the tests that carry it fail and none holds (``carriers``; all, where none are named).
+    """
     weighed = weigh(claim, found)
     if weighed and not any(test.role == "claim" for test in claim.tests):
         built = {w.says for w in weighed if w.test.role == "apparatus"}

@@ -151,8 +151,10 @@ class Lab:
         return resample(retarget(io_load(file)).motion, FPS)
 
     def answers(self) -> None:
-        """Shows what this notebook answers: verdict and answer of each of its claims. The numbers are this run's in the
-        full profile. In the smoke profile they are those of the committed record."""
+        """Shows what this notebook answers: verdict and answer of each of its claims.
+
+        The numbers are this run's in the full profile. In the smoke profile they are those of the committed record.
+        """
         found = self.settled() if self.profile == "full" else self._record().findings
         mine = [claim for claim in self.claims.values() if claim.notebook == self.number]
         said = [(c, ledger.spoken(c, found), ledger.found_answer(c, found)) for c in mine]
@@ -260,8 +262,10 @@ class Lab:
         self.fold("Every number measured in this run", rows) if fold else self.table(rows)
 
     def verdicts(self, *, fold: bool = False) -> None:
-        """Shows the verdict table without any measured number, the same in both profiles; fold: behind a click. A
-        source that only this machine has ("your SMPL") is judged in the numbers above, not here."""
+        """Shows the verdict table without any measured number, the same in both profiles; fold: behind a click.
+
+        A source that only this machine has ("your SMPL") is judged in the numbers above, not here.
+        """
         shown = [f for f in self.settled() if not f.source.startswith("your ")]
         rows = [
             {"test": f.test, "source": f.source, "we ask": self.criterion(f.test).definition, "bound": f.bound,

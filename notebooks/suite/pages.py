@@ -39,8 +39,10 @@ def update(root: Path) -> None:
 
 
 def first_findings(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str:
-    """Returns the findings that README.md begins with as Markdown, and how many claims came out how. Each is a
-    ``[[headline]]`` of claims.toml: the claims whose findings it names, and what it says of them."""
+    """Returns the findings that README.md begins with as Markdown, and how many claims came out how.
+
+    Each is a ``[[headline]]`` of claims.toml: the claims whose findings it names, and what it says of them.
+    """
     lines = []
     for headline in tomllib.loads((execute.NOTEBOOKS / "claims.toml").read_text(encoding="utf-8"))["headline"]:
         named = [claims[name] for name in headline["claims"]]

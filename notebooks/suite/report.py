@@ -51,9 +51,11 @@ class Check(NamedTuple):
 
 
 def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: bool = True) -> list[Run]:
-    """Runs notebooks side by side, even where some fail, into ``out``/today, and writes the pages. The committed
-    results stay as they are. Interrupting writes the pages with what has run, then raises KeyboardInterrupt. run: False
-    where nothing is to be run; the pages say so."""
+    """Runs notebooks side by side, even where some fail, into ``out``/today, and writes the pages.
+
+    The committed results stay as they are. Interrupting writes the pages with what has run, then raises
+    KeyboardInterrupt. run: False where nothing is to be run; the pages say so.
+    """
     paths, today, ran = execute.find_notebooks(names), out / "today", []
     shutil.rmtree(today, ignore_errors=True)
     today.mkdir(parents=True)

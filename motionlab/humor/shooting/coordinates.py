@@ -95,8 +95,10 @@ def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
 @torch.inference_mode(False)
 @torch.no_grad()
 def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Whitening:
-    """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames. On
-    a CPU one clip after another: the matrices of one stay in its cache."""
+    """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames.
+
+    On a CPU one clip after another: the matrices of one stay in its cache.
+    """
     clips = len(unknown.z)
     if not _clip_by_clip(unknown.z):
         return _linearised(problem, unknown, ridge, stride)

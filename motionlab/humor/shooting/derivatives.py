@@ -68,7 +68,9 @@ def _rows(of: Callable[..., Tensor], count: int, *rows: Tensor) -> Tensor:
 
 def columns(of: Callable[..., Tensor], count: int, *rows: Tensor) -> Tensor:
     """Computes the Jacobians (N, out, count) of few causes: N rows and small changes (N, count) of each -> (N, out).
-    Forward, by going back twice: J^T c is linear in c."""
+
+    Forward, by going back twice: J^T c is linear in c.
+    """
     change, out = _traced(of, count, rows)
     with torch.enable_grad():
         c = torch.zeros_like(out, requires_grad=True)

@@ -298,8 +298,10 @@ def in_mode(white: Whitening, found: MixtureModes, who: Tensor, which: Tensor) -
 
 
 def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> MixtureModes:
-    """Computes, for each mixture component of the first state, how much lower the energy should be there. Where
-    rounding left no mode the point is a saddle, and a search from there a waste."""
+    """Computes, for each mixture component of the first state, how much lower the energy should be there.
+
+    Where rounding left no mode the point is a saddle, and a search from there a waste.
+    """
     clips, size = white.first.shape[:2]
     weight, gmm = _weight(problem, unknown), problem.priors.initial
     new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": white.first.new_zeros(clips, size).requires_grad_()}

@@ -213,8 +213,11 @@ def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge
 
 
 def factorised(h: Tensor) -> Tensor:
-    """Computes Cholesky factors (B, m, m) from symmetric matrices. A matrix that rounding made indefinite gets more on
-    its diagonal. One that is not finite gives the identity, so that one bad clip does not end the others."""
+    """Computes Cholesky factors (B, m, m) from symmetric matrices.
+
+    A matrix that rounding made indefinite gets more on its diagonal. One that is not finite gives the identity, so that
+    one bad clip does not end the others.
+    """
     factor, bad = torch.linalg.cholesky_ex(h)
     if not bad.any():
         return factor

@@ -16,8 +16,10 @@ _PARTS = {"train": "observation", "val": "baseline", "test": "ours"}
 
 
 def descriptions(found: Mapping[str, Windows], clip: Tensor, name: str) -> Figure:
-    """Draws the twelve descriptions of windows by source, and where a clip (12,) lies as a line. Thick: quartiles;
-    thin: 5th to 95th percentile; dot: median."""
+    """Draws the twelve descriptions of windows by source, and where a clip (12,) lies as a line.
+
+    Thick: quartiles; thin: 5th to 95th percentile; dot: median.
+    """
     fig, axes = canvas(3, 4, size=(13.0, 1.8 + 0.85 * len(found)), sharey=True)
     for k, (ax, (what, unit)) in enumerate(zip(axes, DESCRIPTION_UNITS.items(), strict=True)):
         for row, (source, some) in enumerate(found.items()):
@@ -35,9 +37,11 @@ def descriptions(found: Mapping[str, Windows], clip: Tensor, name: str) -> Figur
 
 
 def people(rows: Mapping[str, Tensor], halves: Sequence[float], crowds: Mapping[str, float]) -> Figure:
-    """Draws how far each person is from the other people and from synthetic motion, and the same of crowds. rows:
-    source -> squared distances (P, 2): from the other people, from the source. halves: of random halves of the people
-    from each other; crowds: of other sources from all of them."""
+    """Draws how far each person is from the other people and from synthetic motion, and the same of crowds.
+
+    rows: source -> squared distances (P, 2): from the other people, from the source. halves: of random halves of the
+    people from each other; crowds: of other sources from all of them.
+    """
     fig, (left, right) = canvas(1, 2, size=(11.0, 4.4))
     paint = dict(zip(rows, (ROLE["synthetic"], ROLE["baseline"]), strict=False))
     most = 1.05 * max(float(r.max()) for r in rows.values())

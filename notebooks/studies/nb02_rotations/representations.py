@@ -17,10 +17,12 @@ from motionlab import rotation
 
 @dataclass(frozen=True)
 class Representation:
-    """A parameterisation of rotations: encode (..., 3, 3) -> (..., P) and back. tidy: takes the freedom out of
-    parameters that is not rotation (the lengths of 6D vectors and quaternions) without choosing a branch. A smoothness
-    term on raw 6D numbers shrinks them to nothing, where each small change is any rotation at all; on tidy numbers it
-    cannot."""
+    """A parameterisation of rotations: encode (..., 3, 3) -> (..., P) and back.
+
+    tidy: takes the freedom out of parameters that is not rotation (the lengths of 6D vectors and quaternions) without
+    choosing a branch. A smoothness term on raw 6D numbers shrinks them to nothing, where each small change is any
+    rotation at all; on tidy numbers it cannot.
+    """
 
     name: str
     encode: Callable[[Tensor], Tensor]
@@ -47,16 +49,20 @@ FILLERS = (AXIS_ANGLE, QUATERNION, UNROLLED, RAW_SIXD, SIXD)
 
 
 def jumps(representation: Representation, path: Tensor) -> Tensor:
-    """Computes the change of the parameters per radian of rotation (..., T-1) along rotations (..., T, 3, 3). A
-    continuous representation stays below a constant; one with a branch cut grows without bound as the steps get
-    smaller."""
+    """Computes the change of the parameters per radian of rotation (..., T-1) along rotations (..., T, 3, 3).
+
+    A continuous representation stays below a constant; one with a branch cut grows without bound as the
+    steps get smaller.
+    """
     step = representation.encode(path).diff(dim=-2).norm(dim=-1)
     return step / rotation.geodesic(path[..., :-1, :, :], path[..., 1:, :, :]).clamp_min(1e-9)
 
 
 def hide(theta: Tensor, gap: int) -> tuple[Tensor, Tensor]:
-    """Hides the middle ``gap`` frames of parameters (..., T, P): which frames are seen (T,), and a start. The start is
-    the parameters, the last seen ones held through the gap."""
+    """Hides the middle ``gap`` frames of parameters (..., T, P): which frames are seen (T,), and a start.
+
+    The start is the parameters, the last seen ones held through the gap.
+    """
     first = (theta.shape[-2] - gap) // 2
     frames = torch.arange(theta.shape[-2])
     hidden = (frames >= first) & (frames < first + gap)
@@ -90,8 +96,10 @@ def carried_and_decoded(root: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def nearest_vector(decoded: Tensor, carried: Tensor) -> Tensor:
-    """Computes, of all vectors (..., 3) of the decoded rotations, the ones nearest to the carried vectors. They are
-    (|d| + 2 pi k) d / |d|, k any whole number."""
+    """Computes, of all vectors (..., 3) of the decoded rotations, the ones nearest to the carried vectors.
+
+    They are (|d| + 2 pi k) d / |d|, k any whole number.
+    """
     angle = decoded.norm(dim=-1, keepdim=True).clamp_min(1e-12)
     axis = decoded / angle
     turns = (((axis * carried).sum(-1, keepdim=True) - angle) / math.tau).round()

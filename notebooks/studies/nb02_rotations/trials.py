@@ -124,8 +124,10 @@ class Gaps(NamedTuple):
 def lively_gaps(
     people: People, generator: torch.Generator, *, gap: int, each: int, context: int = 10, least_deg: float = 20.0
 ) -> Gaps:
-    """Finds gaps across which the true root turns by ``least_deg`` or more; at most ``each`` of a person. ``context``
-    frames are seen on either side. Hidden middles do not overlap."""
+    """Finds gaps across which the true root turns by ``least_deg`` or more; at most ``each`` of a person.
+
+    ``context`` frames are seen on either side. Hidden middles do not overlap.
+    """
     path, whose = cut_windows(at_random_heading(people, generator), 2 * context + gap, gap)
     middle = rep.across_gap(path, gap)
     turn = torch.rad2deg(rotation.geodesic(middle[:, 0], middle[:, -1]))
@@ -156,10 +158,12 @@ def shares(
 # ---------------------------------------------------------------------------------------------------------- flips
 @dataclass(frozen=True, eq=False)
 class Flips:
-    """How often carried and decoded vectors of one root disagree, one number per person (P,). per_minute: changes
-    between agreement and disagreement. midpoint_deg (of people with a flip): median over the flipped frames of how far
-    the average of the two vectors is from the rotation. sixd_*: the same for 6D. example (T, 3, 3): the root with the
-    most flips."""
+    """How often carried and decoded vectors of one root disagree, one number per person (P,).
+
+    per_minute: changes between agreement and disagreement. midpoint_deg (of people with a flip): median over the
+    flipped frames of how far the average of the two vectors is from the rotation. sixd_*: the same for 6D. example
+    (T, 3, 3): the root with the most flips.
+    """
 
     per_minute: Tensor
     sixd_per_minute: Tensor
@@ -194,8 +198,12 @@ def count_flips(people: People, generator: torch.Generator) -> Flips:
 # ---------------------------------------------------------------------------------------------------- consistency
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Outcome of the consistency fit on 2 s clips. worst_deg: arm -> (N,) largest error of a clip in degrees. flipped
-    (N,): where its two vectors, the decoder's error included, disagree somewhere. whose (N,): the person."""
+    """Outcome of the consistency fit on 2 s clips.
+
+    worst_deg: arm -> (N,) largest error of a clip in degrees. flipped (N,): where its two vectors, the
+    decoder's error included, disagree somewhere.
+    whose (N,): the person.
+    """
 
     worst_deg: dict[str, Tensor]
     flipped: Tensor

@@ -30,10 +30,12 @@ STEP = {"lbfgs": 1.0, "adam": 0.02}
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One person, or several (...), of whom the left arm and the face are seen by one camera. arm, legs: indices of
-    their joints. face: vertices of the mesh. observed: pixels (..., T, 8, 2), the arm's first, of a body without
-    faults: joints by kinematics, face vertices moved rigidly with the head. theta, root: where a fit starts, every
-    joint at rest and the root in its place; theta (..., T, J, 6) in 6D."""
+    """One person, or several (...), of whom the left arm and the face are seen by one camera.
+
+    arm, legs: indices of their joints. face: vertices of the mesh. observed: pixels (..., T, 8, 2), the arm's first, of
+    a body without faults: joints by kinematics, face vertices moved rigidly with the head. theta, root: where a fit
+    starts, every joint at rest and the root in its place; theta (..., T, J, 6) in 6D.
+    """
 
     body: BodyModel
     camera: Camera
@@ -80,8 +82,11 @@ def gradient(case: Case, energy: Energy) -> tuple[float, float]:
 
 
 class PartialFit(NamedTuple):
-    """What a fit to the arm and the face did. moved: the fitted motions (..., T). legs_mm: by budget in closures, how
-    far a leg joint had moved at most in the pelvis's frame at the best point up to there, mm (...)."""
+    """What a fit to the arm and the face did.
+
+    moved: the fitted motions (..., T). legs_mm: by budget in closures, how far a leg joint had moved at most in the
+    pelvis's frame at the best point up to there, mm (...).
+    """
 
     moved: Motion
     legs_mm: dict[int, Tensor]

@@ -38,8 +38,10 @@ def rough(priors: Priors, truth: Motion, steps: tuple[int, int], *, noise: Tenso
 @dataclass(frozen=True, eq=False)
 class Errors:
     """Mean distances of the 22 joints in cm, (N, T) each, from the sequence's own: by what a step or a chain knows.
+
     step: of one step from the sequence's own state. chain: t steps after the first. added: what the errors of the
-    single steps with z come to, summed as vectors."""
+    single steps with z come to, summed as vectors.
+    """
 
     step: dict[str, Tensor]
     chain: dict[str, Tensor]
@@ -82,9 +84,11 @@ def measures(found: Errors, whose: Tensor) -> dict[str, tuple[Tensor, str, Tenso
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """A sequence and what its latents decode to, N clips of T + 1 frames, the first of which is always its own. steps,
-    chain: with the posterior's mean, one by one and rolled out; blind_steps, blind_chain: with the prior's mean, which
-    knows the state before and not the transition."""
+    """A sequence and what its latents decode to, N clips of T + 1 frames, the first of which is always its own.
+
+    steps, chain: with the posterior's mean, one by one and rolled out; blind_steps, blind_chain: with the prior's mean,
+    which knows the state before and not the transition.
+    """
 
     sequence: Motion
     steps: Motion
@@ -134,9 +138,11 @@ def ways_of_two_seconds(model: Cvae, motion: Motion) -> dict[str, Motion]:
 
 
 def knees_bent(found: Decoded, truth: Motion, whose: Tensor) -> dict[str, Tensor]:
-    """Computes the share (P,) of a person's own knee bend, end less start, that each way of decoding makes. truth (N, T
-    + 2): what the person did. Steps one by one: the bend of each step less that of the state it began from, summed.
-    Means over a person's clips."""
+    """Computes the share (P,) of a person's own knee bend, end less start, that each way of decoding makes.
+
+    truth (N, T + 2): what the person did. Steps one by one: the bend of each step less that of the state it began
+    from, summed. Means over a person's clips.
+    """
     bends = {name: tilt_and_bend(getattr(found, name))[1].mean(-1) for name in found.__dataclass_fields__}
     true, own = tilt_and_bend(truth.cut(1))[1].mean(-1), bends["sequence"]
     wanted = true[:, -1] - true[:, 0]

@@ -54,8 +54,10 @@ def parity(rows: Sequence[Row]) -> Figure:
 
 
 def continuation(samples: Motion, person: Motion, body: BodyModel) -> np.ndarray:
-    """Draws where samples (S, T) of a motion have got to after a third, two thirds and all of their time. Translucent:
-    the samples. Dark: the person. Grey: the pose that all of them left."""
+    """Draws where samples (S, T) of a motion have got to after a third, two thirds and all of their time.
+
+    Translucent: the samples. Dark: the person. Grey: the pose that all of them left.
+    """
     frames = [round((samples.frames - 1) * k / 3) for k in (1, 2, 3)]
     with Scene((1200, 400), panels=tuple(f"after {frame / samples.fps:.1f} s" for frame in frames)) as scene:
         for panel, frame in enumerate(frames):
@@ -71,8 +73,10 @@ def gates(
     ways: Mapping[str, Motion], body: BodyModel,
 ) -> Figure:  # fmt: skip
     """Draws a panel per gate, in its own unit: what each prior reaches, with its interval; green where it is passed.
+
     found: by prior and source, by test: the value and the ends of its interval. ways: the person, and the chains that
-    the gates in centimetres judge; they stand above them as they end, the person's end in grey behind them."""
+    the gates in centimetres judge; they stand above them as they end, the person's end in grey behind them.
+    """
     fig, axes = canvas(4, 4, size=(11.0, 9.6))
     axes[0].get_gridspec().set_height_ratios((2.6, 1.0, 1.0, 1.0))
     for ax, picture in zip(axes[:4], _ends(ways, body), strict=True):

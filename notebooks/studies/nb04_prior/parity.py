@@ -46,9 +46,11 @@ TESTS = (
 
 
 class Row(NamedTuple):
-    """arrays: names of golden arrays. form: "official", its formula to the letter, or "lean", what fits run on. error:
-    largest difference, divided by the array's largest entry where that exceeds 1. tolerance: ``EXACT``, or ``YAW`` for
-    chains with the exact heading. why: the cause, where the lean form is known to miss."""
+    """arrays: names of golden arrays. form: "official", its formula to the letter, or "lean", what fits run on.
+
+    error: largest difference, divided by the array's largest entry where that exceeds 1. tolerance: ``EXACT``, or
+    ``YAW`` for chains with the exact heading. why: the cause, where the lean form is known to miss.
+    """
 
     arrays: str
     form: str

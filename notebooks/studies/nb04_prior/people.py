@@ -71,8 +71,10 @@ def recorded(takes: Sequence[Take], each: int) -> Clips | None:
 
 def going_down(takes: Sequence[Take], each: int) -> Clips | None:
     """Returns at most ``each`` clips of every person who goes down from standing: the steepest two seconds of a take.
+
     The pelvis sinks by ``DESCENT`` or more; the knees, at first straighter than 40 degrees, and the thighs end bent by
-    60 degrees or more."""
+    60 degrees or more.
+    """
     found: dict[str, list[tuple[float, Motion]]] = {}
     for take in takes:
         if steepest := _steepest(take.motion):

@@ -59,8 +59,10 @@ def in_camera(cameras: Sequence[Camera], points: Tensor) -> Tensor:
 
 
 def errors(motion: Motion, cameras: Sequence[Camera], scene: Scene) -> dict[str, Tensor]:
-    """Computes errors (B,) of a fit in cm, in the axes of the camera. "root": on the true bones, the pelvis put on the
-    true one. "none": as it stands before the camera."""
+    """Computes errors (B,) of a fit in cm, in the axes of the camera.
+
+    "root": on the true bones, the pelvis put on the true one. "none": as it stands before the camera.
+    """
     there, made = in_camera(scene.cameras, scene.truth.positions), tuning.on_true_bones(motion, scene.truth)
     found = {"root": in_camera(cameras, made.positions), "none": in_camera(cameras, motion.positions)}
     return {align: CM * pose.mpjpe(points, there, align=align) for align, points in found.items()}
@@ -94,9 +96,12 @@ def misses(pixels: Tensor, seen: Observation2D) -> Tensor:
 
 
 def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
-    """Measures a fit by a known camera, a number (P,) a person. "pose": cm, on the true bones, the pelvis put on the
-    true one; "own bones": on those that were fitted. "place": cm, as it stands. "ratio": pixels off the detections over
-    the truth's own distance from them. "acceleration": error, m/s^2."""
+    """Measures a fit by a known camera, a number (P,) a person.
+
+    "pose": cm, on the true bones, the pelvis put on the true one; "own bones": on those that were fitted. "place": cm,
+    as it stands. "ratio": pixels off the detections over the truth's own distance from them. "acceleration": error,
+    m/s^2.
+    """
     scene, p, t = shot.scene, motion.positions, shot.scene.truth.positions
     made = tuning.on_true_bones(motion, scene.truth).positions
     px = misses(pixels_of(motion, list(scene.cameras)), scene.observation)

@@ -43,7 +43,9 @@ _POINTS = {"nose": ("Nose",), "neck": ("Neck",), "mid_hip": ("Hips",)} | {
 @dataclass(frozen=True, eq=False)
 class Moments:
     """Two seconds of each moment from every camera: keypoints (G, T, 25, 2), a camera each, joints (G, T, 12, 3).
-    names: the moment of each of the G views; views of one moment lie together."""
+
+    names: the moment of each of the G views; views of one moment lie together.
+    """
 
     observation: Observation2D
     cameras: list[Camera]

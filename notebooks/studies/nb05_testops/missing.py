@@ -81,7 +81,10 @@ def tiny() -> Schedule:
 def fitted(
     seen: Mapping[str, Scene], way: str, variants: Sequence[str], priors: Priors, schedule: Schedule | None
 ) -> dict[tuple[str, str], CaseFit]:
-    """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> fit. schedule: None: the way's own."""
+    """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> fit.
+
+    schedule: None: the way's own.
+    """
     cases = {
         (source, variant): scenes.without(scene, gap(variant, scene.truth.frames)) if variant != "whole" else scene
         for source, scene in seen.items()
@@ -105,8 +108,10 @@ def refits(one: Scene, priors: Priors, schedule: Schedule) -> Callable[..., Fitt
 
 
 def added(broken: Motion, whole: Motion, truth: Motion, frames: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """Computes what missing frames add to the world error of a fit, cm (B,), after them and before them. broken, whole:
-    the fits (B, T) without these frames, and with them. Before is NaN where nothing comes before."""
+    """Computes what missing frames add to the world error of a fit, cm (B,), after them and before them.
+
+    broken, whole: the fits (B, T) without these frames, and with them. Before is NaN where nothing comes before.
+    """
     early, late = later_error(broken, truth, frames)
     early0, late0 = later_error(whole, truth, frames)
     return late - late0, early - early0

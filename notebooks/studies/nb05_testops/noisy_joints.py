@@ -34,9 +34,11 @@ SHOWN = ("tuned stage 2", "stage 3")
 
 
 def laid(observation: Observation3D, rest: Tensor) -> Tensor:
-    """The mean pose (22, 3), root at the origin, laid onto what is seen: positions (B, T, 66), metres. Where a joint
-    was seen its offset from the mean pose is known; between, it is interpolated; a joint that never was seen keeps the
-    mean pose."""
+    """The mean pose (22, 3), root at the origin, laid onto what is seen: positions (B, T, 66), metres.
+
+    Where a joint was seen its offset from the mean pose is known; between, it is interpolated; a joint that never was
+    seen keeps the mean pose.
+    """
     seen = evidence(observation)
     trans, turn = starts.interpolate_unseen(*starts.start_3d(seen, rest), seen.fps)
     placed, known = rest @ turn.mT + trans[..., None, :], seen.weight > 0
@@ -110,8 +112,10 @@ def compared(
     test: str, tested: People, practice: People, priors: Priors, schedule: Schedule, generator: torch.Generator,
     **tried_out: object,
 ) -> tuple[dict[str, dict[str, Tensor]], list[dict[str, float]], tuning.Choice]:  # fmt: skip
-    """Fits people's joints by every method; numbers of each by measure, one (P,) a person. Also the grid that stage 2
-    was tuned on, and what was chosen. tried_out: goes to ``tuning.search``."""
+    """Fits people's joints by every method; numbers of each by measure, one (P,) a person.
+
+    Also the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.search``.
+    """
     weights, rest = TESTS[test], mean_pose(priors.pose)
     shown = partial(joints.noisy, generator=generator) if test == "noise" else joints.low_hidden
     seen, tried = shown(tested.truth), shown(practice.truth)

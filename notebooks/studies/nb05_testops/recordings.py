@@ -44,10 +44,12 @@ _HEADS = {"px": "pixels off", "root": "pose, cm", "global": "in the room, cm",
 
 
 class Views(NamedTuple):
-    """Several cameras' keypoints of the same seconds, and where the joints were. observation: (G, T, 25, 2) of BODY_25,
-    30 fps. cameras: calibrated, one per view; None: nothing is known. names: of the views. reference (T, 12, 3):
-    metres, world of the cameras, joints of ``COMPARED``; None: there is none. pictures: of each view, frame by frame.
-    size: of its image where there is no camera, pixels."""
+    """Several cameras' keypoints of the same seconds, and where the joints were.
+
+    observation: (G, T, 25, 2) of BODY_25, 30 fps. cameras: calibrated, one per view; None: nothing is known. names: of
+    the views. reference (T, 12, 3): metres, world of the cameras, joints of ``COMPARED``; None: there is none.
+    pictures: of each view, frame by frame. size: of its image where there is no camera, pixels.
+    """
 
     observation: Observation2D
     cameras: list[Camera] | None
@@ -113,9 +115,11 @@ def shown(own: str | None, data: Path | None, body: BodyModel, *, seed: int, fps
 
 
 def given(views: Views, how: str, focal: float = 1.0, index: int | None = None) -> dict[str, object]:
-    """Returns arguments of ``testops.fit`` for what it may know of the cameras of all views, or of one. how: "known":
-    the calibration, and with it the floor. "level": the lens alone; the camera is taken as level, 1.2 m above the
-    floor. "assumed": nothing but the size of the image. focal: times the focal length, also the assumed one."""
+    """Returns arguments of ``testops.fit`` for what it may know of the cameras of all views, or of one.
+
+    how: "known": the calibration, and with it the floor. "level": the lens alone; the camera is taken as level, 1.2 m
+    above the floor. "assumed": nothing but the size of the image. focal: times the focal length, also the assumed one.
+    """
     some = start_cameras(views.observation, size=views.size) if views.cameras is None else views.cameras
     some = some if index is None else [some[index]]
     if how == "assumed":
@@ -183,9 +187,11 @@ def compared(motion: Motion) -> Tensor:
 
 
 def measured(motion: Motion, cameras: Sequence[Camera], views: Views) -> dict[str, Tensor]:
-    """Measures a fit of every view (G, T): numbers (G,). "px": distance from the detections. "global": cm, against the
-    reference; "root": the middle of the hips put on the true one. "acceleration": of the twelve joints, over the
-    reference's."""
+    """Measures a fit of every view (G, T): numbers (G,).
+
+    "px": distance from the detections. "global": cm, against the reference; "root": the middle of the hips put on the
+    true one. "acceleration": of the twelve joints, over the reference's.
+    """
     truth = views.reference[None, : motion.frames].expand(len(cameras), -1, -1, -1)
     found, there = in_camera(cameras, compared(motion)), in_camera(views.cameras, truth)
     ours, theirs = (x[..., HIPS, :].mean(-2, keepdim=True) for x in (found, there))

@@ -38,7 +38,9 @@ def fit_together(
     seen: Mapping[str, Scene], priors: Priors, *, batch: int = 24, workers: int = 1, **how
 ) -> dict[str, CaseFit]:
     """Fit the clips of all cases in batches of at most ``batch``, whatever case they belong to, in as many processes.
-    how: goes to ``fit``."""
+
+    how: goes to ``fit``.
+    """
     cameras = [camera for each in seen.values() for camera in each.cameras]
     every = [part(each.observation, k) for each in seen.values() for k in range(len(each.cameras))]
     every = stacked(every, camera=None, name="")
@@ -67,8 +69,11 @@ def _joined(motions: Sequence[Motion]) -> Motion:
 
 
 def scores(motion: Motion, truth: Motion) -> dict[str, Tensor]:
-    """Errors of a fit, one number (B,) per clip. cm, the pelvis put on the true one: "all" joints, "legs" (knees,
-    ankles, feet). "world": cm, as it stands. "acceleration": error in m/s^2."""
+    """Errors of a fit, one number (B,) per clip.
+
+    cm, the pelvis put on the true one: "all" joints, "legs" (knees, ankles, feet). "world": cm, as it stands.
+    "acceleration": error in m/s^2.
+    """
     p, t = motion.positions, truth.positions
     error = pose.joint_errors(p, t, align="root")
     return {
@@ -130,8 +135,10 @@ def with_smoothness(weight: float, pose: float = 1.0) -> Weights:
 
 
 def on_the_floor(motion: Motion) -> Motion:
-    """Bends the legs of a fit (B, T) so that no ankle is lower than 9 cm: two bones each, knees forward. What a floor
-    alone does for stage 2: the pelvis stays, the foot keeps its direction."""
+    """Bends the legs of a fit (B, T) so that no ankle is lower than 9 cm: two bones each, knees forward.
+
+    What a floor alone does for stage 2: the pelvis stays, the foot keeps its direction.
+    """
     sole, rot, (points, turns) = 0.09, motion.rot.clone(), motion.world
     for side in gait.SIDES:
         hip, knee, ankle = motion.skeleton.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle")])
@@ -154,8 +161,10 @@ def on_the_floor(motion: Motion) -> Motion:
 
 
 def later_error(fit: Motion, truth: Motion, gap: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """World error in cm (B,) before and after frames without detections; where nothing comes after, in them. Before is
-    NaN where nothing comes before."""
+    """World error in cm (B,) before and after frames without detections; where nothing comes after, in them.
+
+    Before is NaN where nothing comes before.
+    """
     error = CM * error_over_time(fit, truth, align="none")
     last = max(gap) + 1
     after = error[..., last:] if last < error.shape[-1] else error[..., min(gap) :]

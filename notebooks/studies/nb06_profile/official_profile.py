@@ -14,9 +14,11 @@ LABEL = "official code, its own machine"
 
 @dataclass(frozen=True)
 class Official:
-    """The table as it stands in the file. phases: name, closures of the schedule, seconds of one, and shares of it.
-    alone: seconds of the roll-out by itself, forward and back. batches: clips -> (seconds of a closure, bytes that the
-    process held)."""
+    """The table as it stands in the file.
+
+    phases: name, closures of the schedule, seconds of one, and shares of it. alone: seconds of the roll-out by itself,
+    forward and back. batches: clips -> (seconds of a closure, bytes that the process held).
+    """
 
     source: str
     machine: str

@@ -69,8 +69,10 @@ class Closure:
 
 
 class Bars:
-    """Bars of closures that were tried, the newest below: what the knobs of the notebook turn. timed: runs a closure
-    step by step, a stopwatch around each."""
+    """Bars of closures that were tried, the newest below: what the knobs of the notebook turn.
+
+    timed: runs a closure step by step, a stopwatch around each.
+    """
 
     def __init__(self, clip: Motion, priors: Priors, timed: Callable, noise: Callable[[object], Noise]) -> None:
         self.clip, self.priors, self.timed, self.noise = clip, priors, timed, noise
@@ -158,8 +160,10 @@ def alone_table(found: Mapping[str, Tensor], official: Official) -> list[dict[st
 def drawn(
     official: Official, found: Mapping[str, tuple[float, float, float]], lean: Mapping[str, Tensor]
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """Computes what ``figures.shares`` draws: (value, low, high) of every share, by program. found: of the faithful
-    form on this machine."""
+    """Computes what ``figures.shares`` draws: (value, low, high) of every share, by program.
+
+    found: of the faithful form on this machine.
+    """
     theirs = {name: (x, x, x) for name, x in official.shares().items()}
     (last,) = CAUSE
     theirs[last] = (theirs[last][0], *official.range(theirs[last][0]))

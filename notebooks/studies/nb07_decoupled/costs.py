@@ -23,8 +23,10 @@ FORMS = {"official": savings.Savings(frozen=True), "lean": savings.LEAN}
 
 def decodes(model: Cvae, states: Tensor, z: Tensor, steps: int | None, on: savings.Savings) -> Callable[[], Tensor]:
     """One evaluation: forwards, to the sum of the squares of what is decoded and the prior's nats, without the body.
+
     states (B, T, 339), z (B, T - 1, 48). steps: K from every state at once; None: the roll-out of all T - 1. In
-    official form the prior is asked at every step, as that code does; in lean form once for each transition."""
+    official form the prior is asked at every step, as that code does; in lean form once for each transition.
+    """
     x, z = states.detach().requires_grad_(), z.detach().requires_grad_()
     frames = x.shape[1]
     at = (torch.arange(frames - 1)[:, None] + torch.arange(steps or 1)).clamp(max=frames - 2)

@@ -55,8 +55,10 @@ class Sequences(NamedTuple):
 
 
 def sequences(model: Cvae, states: Tensor, z: Tensor, steps: int = 1) -> Sequences:
-    """K transitions from every state at once, sorted into sequences of T frames. states (B, T, 339), world; z (B, T -
-    1, 48). The first frame of every sequence is that of ``states``."""
+    """K transitions from every state at once, sorted into sequences of T frames.
+
+    states (B, T, 339), world; z (B, T - 1, 48). The first frame of every sequence is that of ``states``.
+    """
     batch, frames = states.shape[:2]
     at = (torch.arange(frames - 1)[:, None] + torch.arange(steps)).clamp(max=frames - 2)
     found = rollout(model, states[:, :-1].flatten(0, 1), z[:, at].flatten(0, 1), with_prior=False)
@@ -78,8 +80,10 @@ class Form:
 
 
 def terms(problem: Problem, unknown: Unknown, form: Form) -> tuple[Terms, Sequences]:
-    """The weighted terms (B,) of E by name, "consistency" among them; and the decoded sequences. unknown: "x" (B, T,
-    273), "z" (B, T - 1, 48), "betas" (B, 8). Each row is a recording of one window."""
+    """The weighted terms (B,) of E by name, "consistency" among them; and the decoded sequences.
+
+    unknown: "x" (B, T, 273), "z" (B, T - 1, 48), "betas" (B, 8). Each row is a recording of one window.
+    """
     if form.steps is None:
         found, rolled = whole(problem, unknown)
         return found, Sequences(rolled.states[:, None], rolled.rollout.contact_logits[:, None])
@@ -96,8 +100,10 @@ def terms(problem: Problem, unknown: Unknown, form: Form) -> tuple[Terms, Sequen
 
 
 def consistency(states: Tensor, decoded: Tensor) -> Tensor:
-    """C (B,): sum of |x_t - x^k_t| over frames and the 339 numbers of a state, mean over k. states (B, T, 339), decoded
-    (B, K, T, 339). Source: thesis 3.3.3, the L1 loss."""
+    """C (B,): sum of |x_t - x^k_t| over frames and the 339 numbers of a state, mean over k.
+
+    states (B, T, 339), decoded (B, K, T, 339). Source: thesis 3.3.3, the L1 loss.
+    """
     return (states[:, None] - decoded).abs().sum((-1, -2)).mean(1)
 
 

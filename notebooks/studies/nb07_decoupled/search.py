@@ -24,10 +24,13 @@ Number = float | Tensor  # one, or one per clip (B,)
 
 @dataclass(frozen=True)
 class Plan:
-    """What moves and how. form: the energy; its weight is 0 where ``share`` says that x is overwritten. moving: ``X``,
-    ``Z`` or ``BOTH``. rate: Adam's steps, of z in the latent's units, of x in metres, metres per second and entries of
-    6D. share: after every step x_t becomes (1 - share) x_t + share x^1_t for t > 0: 1 copies, between 0 and 1 blends.
-    held: the first state does not move. turns: z alone, then x alone, so often."""
+    """What moves and how.
+
+    form: the energy; its weight is 0 where ``share`` says that x is overwritten. moving: ``X``, ``Z`` or ``BOTH``.
+    rate: Adam's steps, of z in the latent's units, of x in metres, metres per second and entries of 6D.
+    share: after every step x_t becomes (1 - share) x_t + share x^1_t for t > 0: 1 copies, between 0 and 1 blends.
+    held: the first state does not move. turns: z alone, then x alone, so often.
+    """
 
     form: Form = field(default_factory=Form)
     moving: tuple[str, ...] = BOTH
@@ -39,8 +42,10 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a search found: x (B, T, 273), z (B, T - 1, 48), betas (B, 8). seconds: processor time of the search alone.
-    watched: what ``watch`` returned, by evaluations before it."""
+    """What a search found: x (B, T, 273), z (B, T - 1, 48), betas (B, 8).
+
+    seconds: processor time of the search alone. watched: what ``watch`` returned, by evaluations before it.
+    """
 
     unknown: dict[str, Tensor]
     seconds: float
@@ -63,8 +68,10 @@ def search(
     problem: Problem, start: Unknown, plan: Plan, evaluations: int, *,
     watch: Callable[[Unknown], dict[str, Tensor]] | None = None, at: Sequence[int] = (),
 ) -> Found:  # fmt: skip
-    """Adam, clip by clip, with steps that shrink to nothing along half a cosine; or in turns of it. watch: called with
-    the unknowns after ``at`` evaluations; it is not timed. A clip that is not finite stays."""
+    """Adam, clip by clip, with steps that shrink to nothing along half a cosine; or in turns of it.
+
+    watch: called with the unknowns after ``at`` evaluations; it is not timed. A clip that is not finite stays.
+    """
     if plan.turns:
         return _in_turns(problem, start, plan, evaluations)
     now = {n: x.detach().clone() for n, x in start.items()}

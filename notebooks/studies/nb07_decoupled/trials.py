@@ -38,8 +38,11 @@ from studies.shared.sitting import seated
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """B clips at the end of stage 2. problem: the energy of stage 3. start: the persistent states of stage 2, the
-    posterior's mean for each of its transitions, its shape. truth, stage_2: motions (B, T)."""
+    """B clips at the end of stage 2.
+
+    problem: the energy of stage 3. start: the persistent states of stage 2, the posterior's mean for each of its
+    transitions, its shape. truth, stage_2: motions (B, T).
+    """
 
     problem: Problem
     start: dict[str, Tensor]
@@ -109,10 +112,12 @@ def energy(known: Case, unknown: Unknown) -> dict[str, Tensor]:
 
 
 def judged(known: Case, unknown: Unknown, frames: int | None = None) -> dict[str, Tensor]:
-    """Measures (B,) of what was found, of the exact roll-out and, "x ...", of the persistent states. "energy": of stage
-    3, nats. "error": of the joints in the world, cm. "legs": of knees, ankles and feet, pelvis on the true one, cm.
-    "sits": 1 where somebody sits in the last ten frames. "gap": between the two, joints, cm. "first legs": as "x legs",
-    of the first ``frames``, which clips of two lengths share."""
+    """Measures (B,) of what was found, of the exact roll-out and, "x ...", of the persistent states.
+
+    "energy": of stage 3, nats. "error": of the joints in the world, cm. "legs": of knees, ankles and feet, pelvis on
+    the true one, cm. "sits": 1 where somebody sits in the last ten frames. "gap": between the two, joints, cm.
+    "first legs": as "x legs", of the first ``frames``, which clips of two lengths share.
+    """
     x, rolled = motions(known, unknown).values()
     end = torch.zeros(rolled.root.shape[:-1], dtype=torch.bool)
     end[:, -10:] = True

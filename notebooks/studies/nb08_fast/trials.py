@@ -31,9 +31,12 @@ clock = time.process_time
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """B clips of T frames at the end of stage 2. unknown, factors: of ``start.start_stage_3``. latent (B, T, 32): pose
-    latents of stage 2. truth, rough: motions (B, T), the true one and stage 2's. seen (B, T, 22): the judge's mask of
-    joints in view. seconds: processor time of stages 1 and 2."""
+    """B clips of T frames at the end of stage 2.
+
+    unknown, factors: of ``start.start_stage_3``. latent (B, T, 32): pose latents of stage 2. truth, rough: motions
+    (B, T), the true one and stage 2's. seen (B, T, 22): the judge's mask of joints in view. seconds: processor time of
+    stages 1 and 2.
+    """
 
     name: str
     problem: Problem
@@ -105,7 +108,9 @@ def prepare(
 @dataclass(frozen=True, eq=False)
 class Run:
     """What a solver did to one clip: lowest energies (N,) so far, and the processor seconds (N,) when each was known.
-    kept: what it had by so many seconds, the last at the end. spent: in all."""
+
+    kept: what it had by so many seconds, the last at the end. spent: in all.
+    """
 
     energies: Tensor
     seconds: Tensor

@@ -45,10 +45,12 @@ KNOWLEDGE = {
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """F frames of one fitted person before the camera that the fit assumed; float64, metres, pixels. points (F, 25, 3):
-    landmarks in camera axes as fitted; pelvis (F, 3). pixels (F, 25, 2), weight (F, 25): detected. camera: as assumed.
-    feet (F, 4, 3): ankles and balls of the feet, camera axes; touching (F, 4); resting (4,): height of each above the
-    floor while it touches. size: log of the fitted stature over the standard one."""
+    """F frames of one fitted person before the camera that the fit assumed; float64, metres, pixels.
+
+    points (F, 25, 3): landmarks in camera axes as fitted; pelvis (F, 3). pixels (F, 25, 2), weight (F, 25): detected.
+    camera: as assumed. feet (F, 4, 3): ankles and balls of the feet, camera axes; touching (F, 4); resting (4,): height
+    of each above the floor while it touches. size: log of the fitted stature over the standard one.
+    """
 
     points: Tensor
     pelvis: Tensor

@@ -26,9 +26,11 @@ SIDES = {side: STANDARD.indices([n for n in HIDDEN if n.startswith(side)]) for s
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One clip: M places of hidden limbs about the pelvis, one for each joint and frame. person: who it is. truth, fit
-    (M, 3): true and fitted. drawn: temperature -> draws (K, M, 3). rival: draws of chapter 4's network (K, M, 3). seen:
-    mean error of the limbs that were seen. doubtful: by the fit."""
+    """One clip: M places of hidden limbs about the pelvis, one for each joint and frame.
+
+    person: who it is. truth, fit (M, 3): true and fitted. drawn: temperature -> draws (K, M, 3).
+    rival: draws of chapter 4's network (K, M, 3). seen: mean error of the limbs that were seen. doubtful: by the fit.
+    """
 
     person: str
     truth: Tensor
@@ -90,8 +92,10 @@ def about_pelvis(motion: Motion) -> Tensor:
 def with_chapter_4(
     clips: Sequence[Clip], fits: Sequence[tuple[Fitted, int]], generator: torch.Generator, count: int = 16
 ) -> list[Clip]:
-    """Draws the hidden legs of fits anew by our network of chapter 4, too (``completer_draws``, ten steps). It is told
-    the fit, but for the rotations of a leg while a joint of it is hidden."""
+    """Draws the hidden legs of fits anew by our network of chapter 4, too (``completer_draws``, ten steps).
+
+    It is told the fit, but for the rotations of a leg while a joint of it is hidden.
+    """
     found, network = [], completer.load("completer_draws")
     for clip, (fit_, k) in zip(clips, fits, strict=True):
         draws = posterior.sample(fit_, 1, generator=generator, clip=k)

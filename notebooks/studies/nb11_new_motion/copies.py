@@ -28,7 +28,9 @@ class Nearest(NamedTuple):
 
 def nearest(sets: Mapping[str, Motion], library: Sequence[Motion]) -> dict[str, Nearest]:
     """Searches all windows of a library (recordings (frames,) on the standard body) for each of several sets (N_i, T).
-    Windows are compared by joints in the heading frame of their first frame, so neither place nor heading counts."""
+
+    Windows are compared by joints in the heading frame of their first frame, so neither place nor heading counts.
+    """
     queries = joined(replace(motion, contacts=None) for motion in sets.values())
     both = torch.cat([rows(m.positions, m.root[:, 0], m.rot[:, 0, 0]) for m in (queries, mirror(queries))])
     long = [k for k, motion in enumerate(library) if motion.frames >= queries.frames]

@@ -31,9 +31,11 @@ from studies.shared.fill_people import Cast
 
 @dataclass(frozen=True)
 class ReverseProcess:
-    """How the reverse process begins and goes on. level: noise at its first step, over that of the motion. topped:
-    numbers less noisy than that get more. looks: with other noise, averaged. filtered: the rough motion is what begins,
-    not the noisy one."""
+    """How the reverse process begins and goes on.
+
+    level: noise at its first step, over that of the motion. topped: numbers less noisy than that get more. looks: with
+    other noise, averaged. filtered: the rough motion is what begins, not the noisy one.
+    """
 
     level: float = 1.0
     topped: bool = True
@@ -52,10 +54,12 @@ def denoise(
     model: MotionDiffusion, noisy: Motion, rough: Motion, noise: Noise, generator: torch.Generator,
     start: ReverseProcess,
 ) -> Motion:  # fmt: skip
-    """Computes denoised motions (B, T), where they were in the world, by the reverse process. It begins at the step
-    with the same noise. rough: about the same motions, as a filter leaves them: the frame of reference is that of its
-    first frame, contacts are measured on it. A model that takes known values gets none; one of velocities, whose noise
-    is not the joints', is none for this."""
+    """Computes denoised motions (B, T), where they were in the world, by the reverse process.
+
+    It begins at the step with the same noise. rough: about the same motions, as a filter leaves them: the frame of
+    reference is that of its first frame, contacts are measured on it. A model that takes known values gets none; one of
+    velocities, whose noise is not the joints', is none for this.
+    """
     size = noise_size(model.layout, model.normaliser, noise.turn, noise.shift)
     whole = size[size > 0].square().mean().sqrt().item() * start.level
     frame = stuck_root(rough)[1] if model.layout.frame == "stuck" else None

@@ -35,8 +35,10 @@ def margin(test: Criterion, finding: Finding) -> float:
 
 def forest(groups: Mapping[str, Mapping[str, Sequence[Dot]]]) -> Figure:
     """Draws a line per claim and a dot per finding, an empty one where it cannot be judged; verdict -> claim -> dots.
+
     Right of the band it holds, left of it it does not; where nothing was measured (NaN) there is no dot. The band is
-    drawn to scale, what lies beyond it on a logarithmic axis."""
+    drawn to scale, what lies beyond it on a logarithmic axis.
+    """
     heads = {verdict: verdict.split(":")[0].removesuffix(" ...") for verdict in groups}
     lines = [(name, dots) for v, rows in groups.items() for name, dots in [(heads[v], None), *rows.items()]]
     figure, (axis,) = canvas(size=(11.0, 0.24 * len(lines) + 1.2))

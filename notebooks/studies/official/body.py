@@ -27,8 +27,10 @@ PARENTS = (*STANDARD.parents, *(p for hand in range(2) for f in range(5)
 
 @dataclass(frozen=True, eq=False)
 class FullBody:
-    """The arrays of such a body; its first 52 vertices are its joints and the next 25 its landmarks. template (V, 3),
-    shape_directions (V, 3, 16), pose_directions (459, 3 V), regressor (52, V), weights (V, 52)."""
+    """The arrays of such a body; its first 52 vertices are its joints and the next 25 its landmarks.
+
+    template (V, 3), shape_directions (V, 3, 16), pose_directions (459, 3 V), regressor (52, V), weights (V, 52).
+    """
 
     template: Tensor
     shape_directions: Tensor
@@ -107,8 +109,10 @@ def _chain(rot: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def body_joints_by_lbs(root: Tensor, aa: Tensor, betas: Tensor) -> tuple[Tensor, Tensor]:
-    """Joints (B, T, 22, 3) and landmarks (B, T, 25, 3), world: all vertices of all frames are posed for them. root (B,
-    T, 3): the pelvis. aa (B, T, 22, 3): rotation vectors. betas (B, 8)."""
+    """Joints (B, T, 22, 3) and landmarks (B, T, 25, 3), world: all vertices of all frames are posed for them.
+
+    root (B, T, 3): the pelvis. aa (B, T, 22, 3): rotation vectors. betas (B, 8).
+    """
     batch, frames = root.shape[:2]
     per_frame = betas[:, None].expand(-1, frames, -1).flatten(0, 1)
     joints, vertices = skin(smplh_sized(root.dtype, root.device), root.flatten(0, 1), aa.flatten(0, 1), per_frame)

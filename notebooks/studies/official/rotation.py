@@ -13,8 +13,10 @@ GUARD = 1e-6
 
 
 def axis_angle_to_matrix(aa: Tensor) -> Tensor:
-    """Rotation vectors (N, 3) to matrices (N, 3, 3): I + sin(a) K + (1 - cos(a)) K^2 with a = |v + 1e-8|. The axis v /
-    a is a unit vector only to 1e-8 / a: tiny rotations are wrong by up to 2e-8."""
+    """Rotation vectors (N, 3) to matrices (N, 3, 3): I + sin(a) K + (1 - cos(a)) K^2 with a = |v + 1e-8|.
+
+    The axis v / a is a unit vector only to 1e-8 / a: tiny rotations are wrong by up to 2e-8.
+    """
     angle = torch.norm(aa + 1e-8, dim=1, keepdim=True)
     x, y, z = torch.split(aa / angle, 1, dim=1)
     o = torch.zeros_like(x)
@@ -24,8 +26,10 @@ def axis_angle_to_matrix(aa: Tensor) -> Tensor:
 
 
 def alignment(orientation: Tensor) -> Tensor:
-    """The yaw rotation (B, 3, 3) that takes the body's right axis, laid on the floor, to +x; by acos. Its angle is
-    wrong by 1.3e-3 rad at 1e-4 rad, and facing backwards exactly it does not turn at all."""
+    """The yaw rotation (B, 3, 3) that takes the body's right axis, laid on the floor, to +x; by acos.
+
+    Its angle is wrong by 1.3e-3 rad at 1e-4 rad, and facing backwards exactly it does not turn at all.
+    """
     right = -orientation[:, :, 0]
     right = torch.cat((right[:, :2], torch.zeros_like(right[:, 2:])), dim=1)
     x_axis = torch.zeros_like(right)
@@ -36,8 +40,10 @@ def alignment(orientation: Tensor) -> Tensor:
 
 
 def matrix_to_axis_angle(matrix: Tensor) -> Tensor:
-    """Rotation vectors (..., 3) of matrices (..., 3, 3), by quaternions; the angle is folded to [0, pi]. At exactly the
-    identity the vector is right, 0, but its gradient is NaN, as in the official code."""
+    """Rotation vectors (..., 3) of matrices (..., 3, 3), by quaternions; the angle is folded to [0, pi].
+
+    At exactly the identity the vector is right, 0, but its gradient is NaN, as in the official code.
+    """
     a, b, c = (matrix[..., i, i] for i in range(3))
     x, y, z = (matrix[..., i, j] - matrix[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
     xy, yz, zx = (matrix[..., i, j] + matrix[..., j, i] for i, j in ((0, 1), (1, 2), (2, 0)))

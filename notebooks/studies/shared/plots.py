@@ -46,8 +46,10 @@ def over_time(
     panels: Mapping[str, Mapping[str, Tensor]], *, ylabel: str, fps: float, roles: Mapping[str, str],
     hidden: Mapping[str, Tensor] | None = None, size: tuple[float, float], log_from: float,
 ) -> Figure:  # fmt: skip
-    """Draws one panel per case: median over clips of each series (B, T) or (T,) with its quartiles. hidden: case ->
-    mask (T,) of the frames to shade. log_from: where the logarithmic axis begins."""
+    """Draws one panel per case: median over clips of each series (B, T) or (T,) with its quartiles.
+
+    hidden: case -> mask (T,) of the frames to shade. log_from: where the logarithmic axis begins.
+    """
     fig, axes = canvas(1, len(panels), size=size, sharey=True)
     for ax, (name, series) in zip(axes, panels.items(), strict=True):
         paint = paints(list(series), roles)

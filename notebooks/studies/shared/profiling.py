@@ -18,8 +18,10 @@ def interleaved(
     clock: Callable[[], float] = time.perf_counter,
 ) -> dict[Name, Tensor]:  # fmt: skip
     """Measures seconds (n,) of every call, by name: n rounds through all, so that a machine that slows down slows all.
+
     Garbage collection is off; each call runs ``warm_up`` times before the first round. Waits for the GPU where there is
-    one. With ``time.process_time`` only the time counts in which the processor worked for this process."""
+    one. With ``time.process_time`` only the time counts in which the processor worked for this process.
+    """
     for call in calls.values():
         for _ in range(warm_up):
             call()

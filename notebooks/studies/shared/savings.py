@@ -232,9 +232,11 @@ def terms(
 
 
 def closure(problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = nullcontext, **how) -> Tensor:
-    """What an optimiser pays for: the energy (G,), detached, and all gradients, left in ``.grad``. Gradients of the
-    weights, where there are any, are made and dropped; official fits, which never clear them, pay for their sum,
-    too."""
+    """What an optimiser pays for: the energy (G,), detached, and all gradients, left in ``.grad``.
+
+    Gradients of the weights, where there are any, are made and dropped; official fits, which never clear them, pay for
+    their sum, too.
+    """
     for value in unknown.named().values():
         value.grad = None
     with weights_of(problem.priors, on):
@@ -246,7 +248,9 @@ def closure(problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = nu
 
 def chain_alone(problem: Problem, unknown: Unknowns, on: Savings) -> Callable[[], None]:
     """The roll-out and nothing else, forwards and back: sums of squares of its states and logits, and its prior's nats.
-    Gradients go to the first state and to z, and to the weights where they are not frozen."""
+
+    Gradients go to the first state and to z, and to the weights where they are not frozen.
+    """
     priors, each = problem.priors, unknown.per_window()
     z = each.z.detach().requires_grad_()
     body = _Body(on, each.betas, z.shape[1] + 1)

@@ -23,7 +23,9 @@ _TRAVELS = 0.2  # m/s over the floor, from which a root counts as moving
 
 def measured(model: MotionDiffusion, held: PersonWindows) -> dict:
     """Measures a model. estimates: by measure and level of noise, a number a person; samples: by measure, one number.
-    As many windows are made up as are held, by DDPM; the noise is the same for all models of one schedule."""
+
+    As many windows are made up as are held, by DDPM; the noise is the same for all models of one schedule.
+    """
     made = made_up(model, len(held.whose))
     unit = float(f"{float(model.normaliser.scale[0]):.4g}")
     return {"root's unit, m": unit, "estimates": _estimates(model, held), "samples": described(made, held.motion)}

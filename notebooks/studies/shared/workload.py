@@ -56,8 +56,10 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Workload:
-    """Closures of a fit of B people for T frames, midway: its unknowns are near the truth. still: the unknowns of
-    stages 1 and 2. moving: those of stage 3. Rotations as 6 numbers."""
+    """Closures of a fit of B people for T frames, midway: its unknowns are near the truth.
+
+    still: the unknowns of stages 1 and 2. moving: those of stage 3. Rotations as 6 numbers.
+    """
 
     problem: stages.Problem
     still: Unknowns
@@ -91,8 +93,10 @@ class Workload:
 
     def closure(self, part: Part, on: Savings = LEAN, unknown: Unknowns | None = None) -> Callable[..., Tensor]:
         """What an optimiser calls again and again: ``closure(mark=...)`` -> energies (B,), gradients in ``.grad``.
+
         unknown: :meth:`unknowns` of this part, where somebody moves them. Stages 1 and 2 know two forms only: lean
-        where ``on`` is ``savings.LEAN``, else faithful."""
+        where ``on`` is ``savings.LEAN``, else faithful.
+        """
         unknown = self.unknowns(part, on) if unknown is None else unknown
         if part.stage == 3:
             how = {"grown": part.frames == self.frames, "contacts": part.contacts}
@@ -116,9 +120,11 @@ class Workload:
 def workload(
     clip: Motion, priors: Priors, generator: torch.Generator, batch: int = 1, *, inferred: bool = False
 ) -> Workload:
-    """The same person ``batch`` times over, each time with detections and unknowns of its own. clip (T,): 22 joints,
-    world; about 30 frames per second. inferred: latents as the encoders of trained priors find them in the clip;
-    otherwise noise."""
+    """The same person ``batch`` times over, each time with detections and unknowns of its own.
+
+    clip (T,): 22 joints, world; about 30 frames per second.
+    inferred: latents as the encoders of trained priors find them in the clip; otherwise noise.
+    """
     motion = replace(clip, root=clip.root.repeat(batch, 1, 1), rot=clip.rot.repeat(batch, 1, 1, 1, 1), contacts=None)
 
     def noise(*shape: int, scale: float) -> Tensor:
