@@ -112,15 +112,8 @@ def test_outside_the_image_is_undetected(body):
 
 @pytest.fixture(scope="module")
 def long_shot(body):
-    camera = from_south(4.0)
-    return capture.observe(
-        standing(300, torch.linspace(0, 40, 300)),
-        body,
-        camera,
-        seeded(1),
-        [occluders.table(0.0, -1.0)],
-        correlation=0.0,
-    )
+    somebody, table = standing(300, torch.linspace(0, 40, 300)), occluders.table(0.0, -1.0)
+    return capture.observe(somebody, body, from_south(4.0), seeded(1), [table], correlation=0.0)
 
 
 def calibration(confidence, hit):
