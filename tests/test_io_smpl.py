@@ -81,7 +81,8 @@ def test_npz_and_every_kind_of_pickle_give_one_body(tmp_path):
                 path = write_pkl(tmp_path / "c.pkl", {**data, "J_regressor": sparse}, protocol=protocol)
                 same(body, smpl.load(path))
     turned = {**data, "v_template": np.asfortranarray(data["v_template"].astype(">f8"))}
-    same(body, smpl.load(write_pkl(tmp_path / "d.pkl", turned)))
+    for path in (write_pkl(tmp_path / "d.pkl", turned), write_npz(tmp_path / "d.npz", turned)):
+        same(body, smpl.load(path))
 
 
 def test_chumpy_objects_are_read_without_chumpy(tmp_path, chumpy):
