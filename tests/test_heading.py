@@ -75,3 +75,10 @@ def test_fixed_root_keeps_height_and_pose_and_drops_contacts(generator):
     fixed = fix_root_horizontally(motion)
     assert (fixed.root[:, :2] == 0).all() and torch.equal(fixed.root[:, 2], motion.root[:, 2])
     assert torch.equal(fixed.rot, motion.rot) and fixed.contacts is None
+
+
+def test_gradients_pass(generator):
+    motion = random_motion(generator)
+    root = motion.root.requires_grad_()
+    stuck_root(replace(motion, root=root))[0].positions.square().sum().backward()
+    assert root.grad.isfinite().all() and root.grad.abs().max() > 0
