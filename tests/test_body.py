@@ -112,6 +112,18 @@ def test_a_skeleton_of_other_proportions_carries_the_flesh_along(generator):
     torch.testing.assert_close(lbs(body, longer, root, rot), expected, rtol=0, atol=1e-10)
 
 
+def test_gradients(generator):
+    body = random_body(generator, vertices=6)
+    root, rot = random_pose(generator, 1)
+    tangent = torch.zeros(6, 3, dtype=torch.float64, requires_grad=True)
+    betas = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+
+    def vertices(w, b):
+        return lbs(body, body.skeleton_for(b), root, rot @ rotation.exp(w), b, [0, 4])
+
+    assert torch.autograd.gradcheck(vertices, (tangent, betas))
+
+
 def test_shapes_and_betas_are_checked(generator):
     body = random_body(generator)
     root, rot = random_pose(generator, 2)
