@@ -53,7 +53,7 @@ def batches(kit: Priors, draw: torch.Generator) -> None:
         for b in range(CLIPS):
             start = {"z": torch.zeros_like(z[[b]]).requires_grad_()}
             alone = minimise(lambda v, b=b: misfit(v, [b]).sum(), start, max_closures=CLOSURES, steps=1, inner=40)
-            found.append(alone.energy)
+            found.append(min(alone.history))
         return torch.tensor(found)
 
     begun = misfit({"z": torch.zeros_like(z)})
