@@ -73,14 +73,8 @@ def phalp(packed: bool = True) -> bytes:
     """4DHumans' tracks: a dictionary a frame, in it everybody; one comes in the third frame, and is unseen in one."""
     tree = {}
     for t in range(6):
-        frame = tree[f"img/{t:06}.jpg"] = {
-            "time": t,
-            "tid": [],
-            "smpl": [],
-            "camera": [],
-            "tracked_time": [],
-            "mask": [],
-        }
+        frame = tree[f"img/{t:06}.jpg"] = {key: [] for key in ("tid", "smpl", "camera", "tracked_time", "mask")}
+        frame["time"] = t
         for who, since in ((7, 0), (3, 2)):
             _, trans, rot = parameters(CAMERA, person(seed=4 + since))
             hands = torch.eye(3).expand(2, 3, 3)
@@ -109,14 +103,8 @@ def as_joblib(tree: object) -> bytes:
         def save(self, thing, *rest):
             if isinstance(thing, np.ndarray):
                 record = _Wrapper()
-                record.__dict__ |= {
-                    "subclass": np.ndarray,
-                    "shape": thing.shape,
-                    "order": "C",
-                    "dtype": thing.dtype,
-                    "allow_mmap": True,
-                    "numpy_array_alignment_bytes": 16,
-                }
+                record.__dict__ |= {"subclass": np.ndarray, "shape": thing.shape, "order": "C", "dtype": thing.dtype}
+                record.__dict__ |= {"allow_mmap": True, "numpy_array_alignment_bytes": 16}
                 super().save(record, *rest)
                 self.framer.commit_frame(force=True)
                 padding = 16 - (stream.tell() + 1) % 16

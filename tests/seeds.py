@@ -1,7 +1,6 @@
 """Small valid files of every format, as bytes, for the tests of loaders. Made here; no recording is copied."""
 
 import base64
-import io
 import json
 import pickle
 import struct
@@ -13,93 +12,128 @@ import calibrated
 import detected
 import numpy as np
 import torch
+from detected import npz
+from scipy.spatial.transform import Rotation
 
 import results
-from motionlab import humanml, rotation
+from motionlab import humanml
 from motionlab.io import amass, bvh, gltf
-from motionlab.motion import Motion
 from motionlab.observation import Camera, look_at
-from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.skeleton import STANDARD
 
 FRAMES = 4
-
-
-def motion(frames: int = FRAMES) -> Motion:
-    """A standing body that bends a little at random."""
-    generator = torch.Generator().manual_seed(0)
-    rot = rotation.exp(0.2 * torch.randn(frames, 22, 3, generator=generator))
-    rot[:, 0] = UPRIGHT @ rot[:, 0]
-    root = torch.tensor([0.0, 0.0, float(STANDARD.standing_height())]) + 0.01 * torch.arange(frames)[:, None]
-    return Motion(STANDARD, root, rot, 30.0)
 
 
 def saved(save, suffix: str) -> bytes:
     """What a saver of ours writes."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"seed{suffix}"
-        save(path, motion())
+        save(path, results.person(FRAMES))
         return path.read_bytes()
 
 
-def npz(**arrays) -> bytes:
-    stream = io.BytesIO()
-    np.savez(stream, **arrays)
-    return stream.getvalue()
+#: ASF/AMC by hand; its lines are counted in test_io_asf.
+ASF = """# a comment
+:version 1.10
+:units
+  mass 1.0
+  length 0.45
+  angle deg
+:documentation
+  free words: begin end
+:root
+  order TX TY TZ RX RY RZ
+  axis XYZ
+  position 0 0 0
+  orientation 0 0 0
+:bonedata
+  begin
+    id 1
+    name lfemur
+    direction 0.34202 -0.939693 0
+    length 7.5
+    axis 0 0 20 XYZ
+    dof rx ry rz
+    limits (-160.0 20.0)
+           (-70.0 70.0)
+           (-60.0 70.0)
+  end
+  begin
+    id 2
+    name ltibia
+    direction 0.34202 -0.939693 0
+    length 7.2
+    axis 10 30 20 XYZ
+    dof rx
+    limits (-10 170)
+  end
+  begin
+    id 3
+    name thorax
+    direction 0 1 0.1
+    length 4
+    axis 0 0 0 XYZ
+  end
+:hierarchy
+  begin
+    root lfemur thorax
+    lfemur ltibia
+  end
+"""
+AMC = """#!OML
+:FULLY-SPECIFIED
+:DEGREES
+1
+root 10 16 -30 -2 -9 -3
+lfemur -28 5 -20
+ltibia 22
+2
+root 11 16 -29 -2 -19 -3
+ltibia 25
+lfemur -25 4 -10
+"""
 
 
-def asf_text() -> str:
-    def bone(number: int, name: str, direction: str, dof: str) -> str:
-        limits = "(-90 90)\n           " * len(dof.split())
-        freedom = f"    dof {dof}\n    limits {limits.strip()}\n" if dof else ""
-        return (
-            f"  begin\n     id {number}\n     name {name}\n     direction {direction}\n     length 7.5\n"
-            f"     axis 0 0 20 XYZ\n{freedom}  end\n"
-        )
-
-    bones = [("lhip", "0.6 -0.8 0", ""), ("lfemur", "0 -1 0", "rx ry rz"), ("ltibia", "0 -1 0", "rx")]
-    body = "".join(bone(n, *b) for n, b in enumerate([*bones, ("spine", "0 1 0", "rx ry rz")], start=1))
-    return (
-        ":version 1.10\n:name TEST\n:units\n  mass 1.0\n  length 0.45\n  angle deg\n:documentation\n  made by a test\n"
-        ":root\n  order TX TY TZ RX RY RZ\n  axis XYZ\n  position 0 0 0\n  orientation 0 0 0\n"
-        f":bonedata\n{body}:hierarchy\n  begin\n    root lhip spine\n    lhip lfemur\n    lfemur ltibia\n  end\n"
-    )
+def _wxyz(draw) -> list[float]:
+    return Rotation.random(random_state=draw).as_quat()[[3, 0, 1, 2]].tolist()
 
 
-def amc_text() -> str:
-    frame = "{}\nroot 1.5 16.5 -3 {} 2 3\nlfemur 10 -5 {}\nltibia 20\nspine 1 2 3\n"
-    return "#!OML:ASF test\n:FULLY-SPECIFIED\n:DEGREES\n" + "".join(frame.format(n, n, n) for n in range(1, FRAMES + 1))
+#: DeepMimic's joints in the order of a frame, and how many numbers each has.
+LAYOUT = "chest4 neck4 rhip4 rknee1 rankle4 rshoulder4 relbow1 lhip4 lknee1 lankle4 lshoulder4 lelbow1".split()
 
 
-def deepmimic_text() -> str:
-    ball = [0.998, 0.05, 0.03, 0.02]
-    sizes = [4, 4, 4, 1, 4, 4, 1, 4, 1, 4, 4, 1]
-    joints = [x for size in sizes for x in (ball if size == 4 else [0.1])]
-    return json.dumps(
-        {"Loop": "wrap", "Frames": [[0.033, 0.0, 0.9, 0.01 * n, *ball, *joints][:44] for n in range(FRAMES)]}
-    )
+def deepmimic_frames(count: int = 3, seed: int = 0) -> list[list[float]]:
+    draw, rows = np.random.default_rng(seed), []
+    for i in range(count):
+        row = [0.033332 if i < count - 1 else 0.0, *draw.normal(size=3), *_wxyz(draw)]
+        for part in LAYOUT:
+            row += _wxyz(draw) if part.endswith("4") else [draw.uniform(-2, 2)]
+        rows.append([float(v) for v in row])
+    return rows
 
 
 def amp_arrays() -> dict:
-    turn = np.tile(np.array([0.0, 0.0, 0.1, 0.99498744]), (FRAMES, 3, 1))
+    draw = np.random.default_rng(3)
+    rotations = Rotation.random(12, random_state=draw).as_quat().reshape(3, 4, 4)
     return {
-        "local_or_global_rotation_xyzw": turn,
-        "root_translation": np.full((FRAMES, 3), 0.9),
-        "node_names": np.array(["pelvis", "torso", "head"]),
-        "parent_indices": np.array([-1, 0, 1]),
-        "local_translation": np.array([[0.0, 0, 0], [0, 0, 0.3], [0, 0, 0.4]]),
-        "fps": np.array(30),
+        "local_or_global_rotation_xyzw": rotations.astype(np.float32),
+        "root_translation": draw.normal(size=(3, 3)).astype(np.float32),
         "is_local": np.array(True),
+        "fps": np.float32(60),
+        "node_names": np.array(["pelvis", "torso", "head", "left_thigh"]),
+        "parent_indices": np.array([-1, 0, 1, 0]),
+        "local_translation": draw.normal(size=(4, 3)).astype(np.float32),
     }
 
 
-def amass_arrays() -> dict:
+def amass_arrays(columns: int = 156) -> dict:
     draw = np.random.default_rng(0)
     return {
-        "poses": draw.uniform(-1, 1, (FRAMES, 156)),
-        "trans": draw.normal(size=(FRAMES, 3)),
-        "betas": draw.normal(size=10),
-        "gender": np.array("male"),
-        "mocap_framerate": np.array(60.0),
+        "poses": draw.uniform(-1.5, 1.5, (7, columns)),
+        "trans": draw.normal(size=(7, 3)),
+        "betas": draw.normal(size=16),
+        "gender": np.array("female"),
+        "mocap_framerate": np.array(120.0),
     }
 
 
@@ -107,28 +141,22 @@ def anidance_arrays() -> dict:
     return {"positions_cm": np.random.default_rng(0).normal(size=(FRAMES, 24, 3)) * 50, "fps": np.array(25.0)}
 
 
-def smpl_arrays() -> dict:
-    """A body of SMPL's layout on 24 joints: a few vertices about each joint."""
-    rest = STANDARD.rest_positions().numpy()
-    rest = np.concatenate([rest, rest[20:22] + np.array([[0.1, 0, 0], [-0.1, 0, 0]])])
+def smpl_arrays(joints: int = 24, vertices: int = 60) -> dict:
+    """A body in SMPL's layout: 24 joints (or more), two of them hands, pose correctives, two betas."""
     draw = np.random.default_rng(0)
-    template = (rest[:, None] + draw.normal(scale=0.02, size=(24, 2, 3))).reshape(-1, 3)
-    weights = np.repeat(np.eye(24), 2, axis=0) * 0.9 + 0.1 / 24
-    parents = np.array([2**32 - 1, *STANDARD.parents[1:], 20, 21])
+    parents = [*STANDARD.parents, 20, 21, *([15] * 3), *(20 + i % 2 for i in range(30))][:joints]
+    rest = STANDARD.rest_positions().numpy()
+    weights = draw.dirichlet(np.full(joints, 0.1), vertices)
+    regressor = draw.dirichlet(np.full(vertices, 0.1), joints)
     return {
-        "v_template": template,
-        "shapedirs": draw.normal(scale=0.01, size=(48, 3, 10)),
-        "J_regressor": np.repeat(np.eye(24), 2, axis=1) / 2,
+        "v_template": np.resize(rest, (vertices, 3)) + 0.03 * draw.standard_normal((vertices, 3)),
+        "shapedirs": 0.02 * draw.standard_normal((vertices, 3, 2)),
+        "posedirs": 0.01 * draw.standard_normal((vertices, 3, 9 * (joints - 1))),
+        "J_regressor": regressor,
         "weights": weights,
-        "kintree_table": np.stack([parents, np.arange(24)]).astype(np.int64),
-        "f": draw.integers(0, 48, (20, 3)),
+        "kintree_table": np.array([[2**32 - 1, *parents[1:]], range(joints)], dtype=np.uint32),
+        "f": draw.integers(0, vertices, (80, 3)).astype(np.uint32),
     }
-
-
-def openpose_text() -> str:
-    points = np.random.default_rng(0).uniform(10, 500, (2, 18, 3)).round(2)
-    points[..., 2] = 0.7
-    return json.dumps({"version": 1.3, "people": [{"pose_keypoints_2d": p.reshape(-1).tolist()} for p in points]})
 
 
 def trc_text(rows: list[str] | None = None, names=("A", "B"), unit="mm", rate="60.0") -> str:
@@ -141,19 +169,22 @@ def trc_text(rows: list[str] | None = None, names=("A", "B"), unit="mm", rate="6
     return "\n".join(["PathFileType\t4\t(X/Y/Z)\tfile.trc", keys, values, labels, columns, *rows]) + "\n"
 
 
+def c3d_entry(name: bytes, group: int, body: bytes, order: str = "<") -> bytes:
+    return struct.pack("bb", len(name), group) + name + struct.pack(f"{order}h", len(body) + 2) + body
+
+
+def c3d_text(words: list[bytes], width: int) -> bytes:
+    return struct.pack("bBBB", -1, 2, width, len(words)) + b"".join(w.ljust(width) for w in words) + b"\0"
+
+
 def c3d_bytes(table: np.ndarray | None = None) -> bytes:
     """Header, one parameter block and 16-bit data, by hand from the format guide; mm, z up, 25 fps, scale 0.5."""
     table = np.arange(FRAMES * 8, dtype="<i2").reshape(FRAMES, 2, 4) if table is None else table
 
-    def entry(name: bytes, group: int, body: bytes) -> bytes:
-        return struct.pack("<bb", len(name), group) + name + struct.pack("<h", len(body) + 2) + body
-
-    def text(words: list[bytes], width: int) -> bytes:
-        return struct.pack("<bBBB", -1, 2, width, len(words)) + b"".join(w.ljust(width) for w in words) + b"\0"
-
-    parameters = b"\1\x50\1\x54" + entry(b"POINT", -1, b"\0")
-    parameters += entry(b"LABELS", 1, text([b"A", b"BB"], 4)) + entry(b"UNITS", 1, text([b"mm"], 2))
-    parameters += entry(b"Y_SCREEN", 1, text([b"+Z"], 2)) + entry(b"RATE", 1, struct.pack("<bBf", 4, 0, 25.0) + b"\0")
+    parameters = b"\1\x50\1\x54" + c3d_entry(b"POINT", -1, b"\0")
+    for name, words, width in ((b"LABELS", [b"A", b"BB"], 4), (b"UNITS", [b"mm"], 2), (b"Y_SCREEN", [b"+Z"], 2)):
+        parameters += c3d_entry(name, 1, c3d_text(words, width))
+    parameters += c3d_entry(b"RATE", 1, struct.pack("<bBf", 4, 0, 25.0) + b"\0")
     header = struct.pack("<BBHHHHHfHHf", 2, 0x50, 2, 0, 1, len(table), 0, 0.5, 3, 0, 25.0)
     return header.ljust(512, b"\0") + parameters.ljust(512, b"\0") + table.tobytes().ljust(512, b"\0")
 
@@ -224,15 +255,15 @@ def gltf_text(glb: bytes) -> bytes:
 
 SEEDS: dict[str, bytes] = {
     ".bvh": saved(bvh.save, ".bvh"),
-    ".asf": asf_text().encode(),
-    ".amc": amc_text().encode(),
-    "deepmimic.txt": deepmimic_text().encode(),
+    ".asf": ASF.encode(),
+    ".amc": AMC.encode(),
+    "deepmimic.txt": json.dumps({"Loop": "wrap", "Frames": deepmimic_frames()}).encode(),
     "amp.npz": npz(**amp_arrays()),
     "amass.npz": saved(amass.save, ".npz"),
     "anidance.npz": npz(**anidance_arrays()),
     "smpl.npz": npz(**smpl_arrays()),
     "smpl.pkl": pickle.dumps(smpl_arrays(), protocol=2),
-    "openpose.json": openpose_text().encode(),
+    "openpose.json": json.dumps(detected.openpose(18, "_2d")).encode(),
     ".trc": trc_text().encode(),
     ".c3d": c3d_bytes(),
     "qualisys.xml": qualisys_text().encode(),

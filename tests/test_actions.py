@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from scipy.interpolate import BPoly
 
+from data_synth import clips, faults
 from data_synth.actions import ACTIONS
 from data_synth.actions.locomotion import MANNERS
 from data_synth.anatomy import height_at_rest
 from data_synth.audit import acceleration, audit
-from data_synth.curves import evaluate, quintic
 from data_synth.legs import two_bone
 from data_synth.subjects import SUBJECTS
 from motionlab.rotation import rotation_about
@@ -133,28 +132,6 @@ def test_flight_is_ballistic(name):
     assert float(a[flying].median()) == pytest.approx(-9.81, rel=0.05)
 
 
-def test_quintic_matches_scipy():
-    start, stop, duration = (0.3, -1.0, 2.0), (1.1, 0.5, -3.0), 0.7
-    ours = torch.tensor([quintic(start, stop, duration)], dtype=torch.float64)
-    t = torch.linspace(0, 0.699, 50, dtype=torch.float64)
-    one = torch.ones(1, dtype=torch.float64)
-    x = evaluate(0.3 * one, torch.tensor([0]), 0 * one, duration * one, ours, t)[0]
-    referee = BPoly.from_derivatives([0, duration], [start, stop])
-    torch.testing.assert_close(x, torch.from_numpy(referee(t.numpy())), atol=1e-12, rtol=0)
-
-
-def test_two_bones_reach_their_target():
-    g = torch.Generator().manual_seed(0)
-    start = torch.randn(200, 3, generator=g, dtype=torch.float64)
-    way = torch.nn.functional.normalize(torch.randn(200, 3, generator=g, dtype=torch.float64), dim=-1)
-    target = start + way * (0.4 + 0.45 * torch.rand(200, 1, generator=g, dtype=torch.float64))
-    hinge = torch.randn(200, 3, generator=g, dtype=torch.float64)
-    upper, lower, axis, flexion = two_bone(start, target, hinge, 0.45, 0.46)
-    torch.testing.assert_close(start + 0.45 * upper + 0.46 * lower, target, atol=1e-9, rtol=0)
-    torch.testing.assert_close((upper * axis).sum(-1), torch.zeros(200, dtype=torch.float64), atol=1e-9, rtol=0)
-    torch.testing.assert_close((upper * lower).sum(-1).acos(), flexion, atol=1e-6, rtol=0)
-
-
 @pytest.mark.parametrize("subject", range(len(SUBJECTS)))
 @pytest.mark.parametrize("seed", range(3))
 def test_over_knees_and_hands_to_the_belly_and_up(subject, seed):
@@ -192,3 +169,41 @@ def test_control_a_lifted_knee_and_an_arm_through_the_trunk_are_noticed():
     rot = idles.rot.clone()
     rot[:, idles.skeleton.index("left_shoulder")] = rotation_about("z", torch.tensor(-2.0))  # down past the side
     assert audit(replace(idles, rot=rot)).arm_depth > 0.05
+
+
+def test_two_bones_reach_their_target():
+    g = torch.Generator().manual_seed(0)
+    start = torch.randn(200, 3, generator=g, dtype=torch.float64)
+    way = torch.nn.functional.normalize(torch.randn(200, 3, generator=g, dtype=torch.float64), dim=-1)
+    target = start + way * (0.4 + 0.45 * torch.rand(200, 1, generator=g, dtype=torch.float64))
+    hinge = torch.randn(200, 3, generator=g, dtype=torch.float64)
+    upper, lower, axis, flexion = two_bone(start, target, hinge, 0.45, 0.46)
+    torch.testing.assert_close(start + 0.45 * upper + 0.46 * lower, target, atol=1e-9, rtol=0)
+    torch.testing.assert_close((upper * axis).sum(-1), torch.zeros(200, dtype=torch.float64), atol=1e-9, rtol=0)
+    torch.testing.assert_close((upper * lower).sum(-1).acos(), flexion, atol=1e-6, rtol=0)
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return clips.draw(1, torch.Generator().manual_seed(0), actions=("walk",))[0].motion
+
+
+def test_the_audit_notices_every_fault_and_nothing_else(walk):
+    clean, drift, low, knees = (
+        audit(m) for m in (walk, faults.drifting(walk), faults.lowered(walk), faults.knees_reflected(walk))
+    )
+    assert clean.contact_speed < 1e-4
+    assert drift.contact_speed == pytest.approx(0.01 / 30, rel=0.05)
+    assert low.penetration == pytest.approx(0.01 + clean.penetration, abs=2e-3)
+    assert knees.limit_excess > 20 > clean.limit_excess
+    assert low.limit_excess == pytest.approx(clean.limit_excess, abs=1e-3)
+
+
+def test_takes_cover_actions_and_people_repeat_by_seed_and_a_longer_draw_begins_with_the_shorter_one():
+    draw = lambda count, seed: clips.draw(count, torch.Generator().manual_seed(seed), actions=("walk", "idle"))  # noqa: E731
+    takes, again, other = draw(6, 0), draw(3, 0), draw(1, 1)
+    assert len({(t.subject.name, t.labels[len(t.labels) // 2]) for t in takes}) >= 4
+    assert all(torch.equal(a.motion.root, b.motion.root) for a, b in zip(takes, again, strict=False))
+    assert not torch.equal(takes[0].motion.rot[:60], other[0].motion.rot[:60])
+    with pytest.raises(KeyError, match="levitate"):
+        clips.draw(1, torch.Generator(), actions=("levitate",))

@@ -54,17 +54,6 @@ def test_ends_hold(generator):
     torch.testing.assert_close(ends.rot[[0, -1]], motion.rot[[1, 4]])
 
 
-def test_nearest_known_frames_agree_with_a_loop(generator):
-    known = torch.rand(20, 9, generator=generator) < 0.3
-    before, after = baselines.nearest_known(known)
-    for row in known.any(1).nonzero()[:, 0].tolist():
-        at = known[row].nonzero()[:, 0].tolist()
-        for t in range(9):
-            assert before[row, t] == max((k for k in at if k <= t), default=at[0])
-            assert after[row, t] == min((k for k in at if k >= t), default=at[-1])
-    assert all(((0 <= x) & (x < 9)).all() for x in baselines.nearest_known(torch.zeros(2, 9, dtype=torch.bool)))
-
-
 def test_nothing_known_and_wrong_masks_are_refused(generator):
     motion = swinging(generator, frames=6)
     with pytest.raises(ShapeError, match="no frame"):

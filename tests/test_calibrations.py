@@ -63,10 +63,12 @@ def test_easymocap_writes_two_files_without_a_size(tmp_path):
 
 
 def test_several_cameras_are_told_by_name(tmp_path):
-    text = calibrated.pose2sim("cam01") + calibrated.pose2sim("cam02").split("[metadata]")[0].replace("1.4", "1.7")
-    assert loaded(tmp_path / "a.toml", text, name="cam02")[0].translation[1] == pytest.approx(1.7)
-    assert loaded(tmp_path / "a.toml", text, views="x/cam02_json")[0].translation[1] == pytest.approx(1.7)
-    refused(tmp_path / "a.toml", text, "which of its cameras: cam01, cam02", "--camera-name")
+    text = calibrated.pose2sim("cam_01") + calibrated.pose2sim("cam_02").split("[metadata]")[0].replace("1.4", "1.7")
+    for how in ({"name": "cam_02"}, {"views": "x/cam02_json"}):
+        assert loaded(tmp_path / "a.toml", text, **how)[0].translation[1] == pytest.approx(1.7)
+    for how in ({}, {"views": "somewhere/left"}, {"name": "cam_09"}):
+        refused(tmp_path / "a.toml", text, "cam_01, cam_02", **how)
+    refused(tmp_path / "a.toml", text, "which of its cameras", "--camera-name")
     assert loaded(tmp_path / "b.json", [PLAIN, PLAIN | PLACED], name="1")[1]
 
 

@@ -117,9 +117,8 @@ def test_outside_the_image_is_undetected(body):
 
 @pytest.fixture(scope="module")
 def long_shot(body):
-    camera = from_south(4.0)
-    motion = standing(300, torch.linspace(0, 40, 300))
-    return capture.observe(motion, body, camera, seeded(1), [table(-1.0)], correlation=0.0)
+    somebody = standing(300, torch.linspace(0, 40, 300))
+    return capture.observe(somebody, body, from_south(4.0), seeded(1), [table(-1.0)], correlation=0.0)
 
 
 def calibration(confidence, hit):

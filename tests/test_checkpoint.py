@@ -35,6 +35,7 @@ def test_what_is_saved_comes_back(kept):
     assert tensors.keys() == official_weights(model).keys()
     assert all(torch.equal(tensors[name], value) for name, value in official_weights(model).items())
     assert recipe.items() >= RECIPE.items()
+    assert {p.name for p in path.parent.iterdir()} == {"small.safetensors", "small.json"}
     again = pretrained.load_motion_prior(str(path))
     x = torch.randn(5, 339, generator=torch.Generator().manual_seed(1))
     assert torch.equal(again.prior(x).mean, model.prior(x).mean)
@@ -65,53 +66,23 @@ def test_a_nudge_moves_the_last_digits_and_nothing_else(tmp_path, generator, mon
     assert torch.equal(loaded("")["x"], stored["x"])
 
 
-def test_nothing_else_is_left_in_the_folder(kept):
-    _, path = kept
-    assert {p.name for p in path.parent.iterdir()} == {"small.safetensors", "small.json"}
+HARM = {  # file, and what its bytes become; None: it is gone
+    "truncated": (".safetensors", lambda content: content[: len(content) // 2]),
+    "one bit": (".safetensors", lambda content: content[:-5] + bytes([content[-5] ^ 1]) + content[-4:]),
+    "of another": (".safetensors", lambda content: save_tensors({"x": torch.zeros(3)})),
+    "no tensors": (".safetensors", None),
+    "no recipe": (".json", None),
+    "broken recipe": (".json", lambda content: b'{"seed": 3'),
+    "recipe of a list": (".json", lambda content: b"[1, 2]"),
+    "recipe without checksum": (".json", lambda content: json.dumps(RECIPE).encode()),
+}
 
 
-def truncated(path):
-    content = path.with_suffix(".safetensors").read_bytes()
-    path.with_suffix(".safetensors").write_bytes(content[: len(content) // 2])
-
-
-def one_bit(path):
-    content = bytearray(path.with_suffix(".safetensors").read_bytes())
-    content[-5] ^= 1
-    path.with_suffix(".safetensors").write_bytes(content)
-
-
-def of_another(path):
-    path.with_suffix(".safetensors").write_bytes(save_tensors({"x": torch.zeros(3)}))
-
-
-def no_recipe(path):
-    path.with_suffix(".json").unlink()
-
-
-def no_tensors(path):
-    path.with_suffix(".safetensors").unlink()
-
-
-def broken_recipe(path):
-    path.with_suffix(".json").write_text('{"seed": 3', encoding="utf-8")
-
-
-def recipe_of_a_list(path):
-    path.with_suffix(".json").write_text("[1, 2]", encoding="utf-8")
-
-
-def recipe_without_checksum(path):
-    path.with_suffix(".json").write_text(json.dumps(RECIPE), encoding="utf-8")
-
-
-@pytest.mark.parametrize(
-    "harm", [truncated, one_bit, of_another, no_recipe, no_tensors, broken_recipe, recipe_of_a_list,
-             recipe_without_checksum],
-)  # fmt: skip
+@pytest.mark.parametrize("harm", HARM)
 def test_damage_is_refused_with_a_remedy(kept, harm):
-    _, path = kept
-    harm(path)
+    (_, path), (suffix, change) = kept, HARM[harm]
+    file = path.with_suffix(suffix)
+    file.write_bytes(change(file.read_bytes())) if change else file.unlink()
     with pytest.raises(DataError, match="small") as caught:
         checkpoint.load(path)
     assert "train" in str(caught.value)

@@ -153,15 +153,10 @@ def test_keypoints_of_a_copy_at_an_even_rate_are_put_by_time(tmp_path, uneven):
     assert found.times is None and np.allclose(np.diff(x_of(found)), 25 / 30, atol=1e-2)
 
 
-def test_times_that_are_even_change_nothing():
-    seen = clip.Observation2D(*np_points(), ("a", "b"), 25.0)
+def test_times_that_are_even_change_nothing(generator):
+    seen = clip.Observation2D(torch.rand(9, 2, 2, generator=generator), torch.ones(9, 2), ("a", "b"), 25.0)
     one, other = at_rate(seen), at_rate(seen, times=np.arange(9) / 25)
     assert one.frames == other.frames and np.allclose(one.keypoints, other.keypoints, atol=1e-5)
-
-
-def np_points() -> tuple[torch.Tensor, torch.Tensor]:
-    draw = torch.Generator().manual_seed(0)
-    return torch.rand(9, 2, 2, generator=draw), torch.ones(9, 2)
 
 
 # -------------------------------------------------------------------------------------------------- the image's size

@@ -29,12 +29,9 @@ def test_copies_follow_unless_a_person_edited_them(tmp_path):
     write(tracked / "both.ipynb", "new")
     for _ in range(2):  # it is said each time
         assert copies.refresh(lab, tracked) == ["both.ipynb"]
-    text = {name: json.loads((lab / name).read_text())["cells"][0]["source"] for name in copied(lab)}
+    names = [path.name for path in lab.glob("*.ipynb")]
+    text = {name: json.loads((lab / name).read_text())["cells"][0]["source"] for name in names}
     assert text == {"run.ipynb": ["new"], "edited.ipynb": ["mine"], "both.ipynb": ["mine"]}
     (lab / "both.ipynb").rename(lab / "my own.ipynb")
     assert copies.refresh(lab, tracked) == []
     assert json.loads((lab / "both.ipynb").read_text())["cells"][0]["source"] == ["new"]
-
-
-def copied(folder):
-    return [path.name for path in folder.glob("*.ipynb")]

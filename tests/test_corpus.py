@@ -1,5 +1,7 @@
 """The corpus: split, versions, room, determinism, and a cache that notices damage."""
 
+from unittest.mock import Mock
+
 import pytest
 import torch
 
@@ -61,11 +63,8 @@ def test_seed_decides_and_the_cache_is_exact(monkeypatch):
     other = small(seed=1)
     assert not torch.equal(fresh.sequences[0].motion.rot, other.sequences[0].motion.rot)
 
-    def never(*_):
-        raise RuntimeError("made anew")
-
     with monkeypatch.context() as patch:
-        patch.setattr(corpus.perform, "perform", never)
+        patch.setattr(corpus.perform, "perform", Mock(side_effect=RuntimeError("made anew")))
         again = small()
         with pytest.raises(RuntimeError, match="made anew"):
             small(seed=99)

@@ -3,7 +3,9 @@
 import os
 import shutil
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -63,16 +65,11 @@ def loaded(monkeypatch):
 
 def same(one, two):
     """Two corpora with the same takes, to the bit."""
+    labels = attrgetter("name", "person", "said", "fps", "missing")
+    numbers = attrgetter("motion.root", "motion.rot", "motion.contacts")
     pairs = list(zip(one.takes, two.takes, strict=True))
-    labels = all(
-        (a.name, a.person, a.said, a.fps, a.missing) == (b.name, b.person, b.said, b.fps, b.missing) for a, b in pairs
-    )
-    numbers = all(
-        torch.equal(getattr(a.motion, name), getattr(b.motion, name))
-        for a, b in pairs
-        for name in ("root", "rot", "contacts")
-    )
-    return labels and numbers and one.rows == two.rows
+    alike = all(labels(a) == labels(b) and all(map(torch.equal, numbers(a), numbers(b))) for a, b in pairs)
+    return alike and one.rows == two.rows
 
 
 # ------------------------------------------------------------------------------------------------ what comes out
@@ -191,9 +188,8 @@ def test_damaged_recordings_are_named_and_counted(folder, texts):
         assemble(folder, strict=True)  # though nothing is parsed
 
 
-@pytest.mark.parametrize("kind", sorted(BAD))
-def test_a_damaged_recording_ends_a_strict_run(tmp_path, texts, kind):
-    put(tmp_path / "all", "mine/ann/bad.bvh", BAD[kind](texts["a"]))
+def test_a_damaged_recording_ends_a_strict_run(tmp_path, texts):
+    put(tmp_path / "all", "mine/ann/bad.bvh", BAD["cut off"](texts["a"]))
     with pytest.raises(DataError, match=r"all/mine/ann/bad\.bvh.*remedy"):
         assemble(tmp_path / "all", strict=True)
     assert not list((tmp_path / "kept").iterdir())
@@ -218,14 +214,9 @@ def test_folders_with_nothing_to_learn_from(tmp_path, folder, texts):
     put(tmp_path / "bad", "mine/ann/a.bvh", "")
     with pytest.raises(MissingData, match=r"usable motion .*1 recordings are refused, such as mine/ann/a.bvh: .*empty"):
         assemble(tmp_path / "bad")
-    put(tmp_path / "short", "mine/ann/a.bvh", bvh_of(tmp_path, performed(0, 24.0).cut(0, 20)))
+    bvh.save(put(tmp_path / "short", "mine/ann/a.bvh", ""), performed(0, 24.0).cut(0, 20))
     with pytest.raises(MissingData, match="longer recordings"):
         assemble(tmp_path / "short")
-
-
-def bvh_of(place, motion):
-    bvh.save(place / "x.bvh", motion)
-    return (place / "x.bvh").read_text()
 
 
 # ------------------------------------------------------------------------------------------------ kept whole
@@ -240,9 +231,7 @@ def test_a_kill_leaves_nothing_that_a_later_call_would_read(folder, tmp_path, mo
     whole = corpus.assemble(folder, kept=tmp_path / "other", progress=False)
     loaded.clear()
 
-    def stop(*args):
-        raise KeyboardInterrupt
-
+    stop = Mock(side_effect=KeyboardInterrupt)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         if where == "loader":
             load = recordings.SUFFIXES[".bvh"]

@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 import urllib.error
+from unittest.mock import Mock
 
 import imageio.v2 as imageio
 import numpy as np
@@ -154,10 +155,7 @@ def test_the_detector_that_is_installed_finds_two_people_by_networks_made_here(t
 def test_without_a_network_the_detector_says_that_its_weights_are_missing(tmp_path, video, monkeypatch):
     files = importlib.import_module(f"{extra('rtmlib').__name__}.tools.file")
 
-    def unreachable(*_, **__):
-        raise urllib.error.URLError("no route to host")
-
-    monkeypatch.setattr(files, "urlopen", unreachable)
+    monkeypatch.setattr(files, "urlopen", Mock(side_effect=urllib.error.URLError("no route to host")))
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "empty"))
     with pytest.raises(MissingData, match=r"weights.*no route to host.*--keypoints"):
         detect.find(video, tmp_path / "keypoints.npz")
@@ -187,25 +185,16 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
     for word in ("pip install -e '.[detect]'", "--keypoints", "OpenPose", "MMPose", "AlphaPose", "--write_json"):
         assert word in str(caught.value)
 
-    class Offline:
-        def BodyWithFeet(self, **how):
-            raise OSError("no route to host")
-
-    class Bare:
-        def BodyWithFeet(self, **how):
-            raise ModuleNotFoundError("No module named 'onnxruntime'", name="onnxruntime")
-
-    class Damaged:
-        def BodyWithFeet(self, **how):
-            raise RuntimeError("INVALID_PROTOBUF : Load model from yolox.onnx failed")
-
-    cases = {Offline: "could not be fetched.*no route to host", Damaged: "cannot be used.*yolox.onnx.*delete it"}
-    cases[Bare] = r"package.*No module named 'onnxruntime'.*pip install -e '\.\[detect\]'"
-    for package, message in cases.items():
-        monkeypatch.setitem(sys.modules, "rtmlib", package())
+    bare, damaged = "No module named 'onnxruntime'", "INVALID_PROTOBUF : Load model from yolox.onnx failed"
+    for error, message in (
+        (OSError("no route to host"), "could not be fetched.*no route to host"),
+        (ModuleNotFoundError(bare, name="onnxruntime"), rf"package.*{bare}.*pip install -e '\.\[detect\]'"),
+        (RuntimeError(damaged), "cannot be used.*yolox.onnx.*delete it"),
+    ):
+        monkeypatch.setitem(sys.modules, "rtmlib", Mock(**{"BodyWithFeet.side_effect": error}))
         with pytest.raises(MissingData, match=message) as caught:
             detect.find(video, tmp_path / "keypoints.npz")
-        assert ("fetched (" in str(caught.value)) == (package is Offline)
+        assert ("fetched (" in str(caught.value)) == isinstance(error, OSError)
     with pytest.raises(DataError, match="nobody was found"):
         detect.find(video, tmp_path / "keypoints.npz", finder=lambda picture: (np.zeros((0, 26, 2)), np.zeros((0, 26))))
     with pytest.raises(ShapeError, match="26"):

@@ -6,8 +6,6 @@ import pytest
 import torch
 from torch import nn
 
-from data_synth.corpus import Recipe as Corpus
-from data_synth.corpus import perform_sequence
 from motionlab import rotation
 from motionlab.diffusion.denoising import Noise
 from motionlab.diffusion.features import Layout, Normaliser
@@ -20,10 +18,9 @@ FRAMES = 20
 
 
 @pytest.fixture(scope="module")
-def motion():
+def motion(motions):
     """Six windows of 20 frames of somebody who walks about."""
-    cut = gather([on_standard(perform_sequence(Corpus(seconds=6.0, seed=3), 0).motion)], FRAMES).evenly(6)
-    return replace(cut, skeleton=STANDARD)
+    return replace(gather([on_standard(motions[0])], FRAMES).evenly(6), skeleton=STANDARD)
 
 
 class Fixed(nn.Module):

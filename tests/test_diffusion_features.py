@@ -54,12 +54,13 @@ def test_a_joint_s_numbers_are_those_that_it_turns(motion):
     """Changing its numbers moves the joint's children and nothing else; its velocity belongs to it."""
     layout = Layout(frame="world", velocities=True)
     rows = layout.encode(motion)
-    mask = masks.units(layout) == motion.skeleton.index("left_elbow")
+    owners = masks.units(layout)
+    mask, of = owners == motion.skeleton.index("left_elbow"), {n: owners[part] for n, part in layout.slices.items()}
     found = layout.decode(torch.where(mask, rows + 0.3, rows), 30.0, motion.skeleton)
     moved = (found.positions - motion.positions).norm(dim=-1).amax((0, 1))
     names = motion.skeleton.names
     assert {names[j] for j in (moved > 1e-3).nonzero().flatten().tolist()} == {"left_wrist"}
-    assert int(mask.sum()) == 12
+    assert torch.equal(of["rot_vel"], torch.cat((of["orient"], of["pose"]))) and (of["root_vel"] == 22).all()
 
 
 def test_the_normaliser_undoes_itself(motion):

@@ -10,20 +10,15 @@ from motionlab import rotation
 from motionlab.contact import with_contacts
 from motionlab.diffusion.foot_locking import _FADE, _stands, lock_feet
 from motionlab.errors import DataError, ShapeError
-from motionlab.motion import Motion
-from motionlab.skeleton import ANKLES, BALLS, STANDARD, UPRIGHT
+from motionlab.skeleton import ANKLES, BALLS, STANDARD
+from tests.figures import standing
 
 
 @pytest.fixture(scope="module")
 def walk():
     clips = scenes.held_out(6)
-    both = [with_contacts(clips.clip(i).cut(0, 60)) for i in range(6)]
-    return replace(
-        both[0],
-        root=torch.stack([m.root for m in both]),
-        rot=torch.stack([m.rot for m in both]),
-        contacts=torch.stack([m.contacts for m in both]),
-    )
+    clips = [with_contacts(clips.clip(i).cut(0, 60)) for i in range(6)]
+    return replace(scenes.together(clips), skeleton=clips[0].skeleton)
 
 
 @pytest.fixture(scope="module")
@@ -67,9 +62,8 @@ def test_only_hips_knees_and_ankles_turn_and_a_foot_on_its_ball_keeps_its_orient
 
 def test_feet_that_no_label_names_stand_if_they_are_low_and_slow_and_only_then(walk):
     unlabelled = replace(walk, contacts=torch.zeros_like(walk.contacts))
-    creeping = replace(
-        unlabelled, root=walk.root + 0.1 * torch.arange(60)[:, None] / 30 * torch.tensor([0.0, 1.0, 0.0])
-    )
+    second = torch.arange(60)[:, None] / 30 * torch.tensor([0.0, 1.0, 0.0])
+    creeping, running = (replace(unlabelled, root=walk.root + speed * second) for speed in (0.1, 2.0))
     stands = _stands(walk, BALLS)
     both = stands[:, 1:] & stands[:, :-1]
 
@@ -78,7 +72,6 @@ def test_feet_that_no_label_names_stand_if_they_are_low_and_slow_and_only_then(w
 
     assert slide(creeping)[both].mean() > 3e-3 and slide(lock_feet(creeping))[both].mean() < 5e-4
     assert (lock_feet(creeping, slow=False).positions - creeping.positions).abs().max() < 1e-3  # nothing says so
-    running = replace(unlabelled, root=walk.root + 2.0 * torch.arange(60)[:, None] / 30 * torch.tensor([0.0, 1.0, 0.0]))
     assert (lock_feet(running).positions - running.positions).norm(dim=-1).mean() < 2e-3  # low, but at 2 m/s
 
 
@@ -106,13 +99,11 @@ def test_a_heel_on_the_floor_stays_though_its_foot_trembles(walk):
 def test_out_of_reach_the_heel_lifts_and_the_ball_stays():
     """Who stands with straight legs and rises by 3 cm without leaving the floor is on the balls of the feet."""
     rises = STANDARD.standing_height() + 0.03 * torch.linspace(0, 1, 60)
-    rot = torch.eye(3).repeat(1, 60, len(STANDARD), 1, 1)
-    rot[:, :, 0] = UPRIGHT
-    root = torch.stack((torch.zeros(60), torch.zeros(60), rises), -1)[None]
+    up = standing(60)
+    up.root[:, 2] = rises
     said = torch.zeros(1, 60, len(STANDARD.contact_names))
     said[..., [STANDARD.contact_names.index(n) for n in BALLS]] = 1.0
-    up = Motion(STANDARD, root, rot, 30.0, said)
-    made = lock_feet(up)
+    made = lock_feet(replace(up, root=up.root[None], rot=up.rot[None], contacts=said))
     heels, balls = (made.positions[..., STANDARD.indices(names), 2] for names in (ANKLES, BALLS))
     assert (balls.amax(1) - balls.amin(1)).max() < 1e-4
     assert (heels[:, -1] - heels[:, 0]).min() > 0.01  # the ball rests half-way up
@@ -126,9 +117,7 @@ def test_who_never_stands_is_left_alone_and_who_says_nothing_is_refused(sliding)
     assert (lock_feet(flying).positions - flying.positions).abs().max() < 1e-3
     with pytest.raises(DataError, match="with_contacts"):
         lock_feet(replace(sliding, contacts=None))
-    for wrong in (
-        sliding.clip(0),
-        replace(sliding, skeleton=replace(sliding.skeleton, offsets=torch.zeros(6, 1, 22, 3))),
-    ):
+    bodies = replace(sliding.skeleton, offsets=torch.zeros(6, 1, 22, 3))
+    for wrong in (sliding.clip(0), replace(sliding, skeleton=bodies)):
         with pytest.raises(ShapeError, match="on one body"):
             lock_feet(wrong)

@@ -7,8 +7,9 @@ import torch
 
 from motionlab.diffusion import footsteps
 from motionlab.diffusion.foot_locking import lock_feet
-from motionlab.motion import Motion
-from motionlab.skeleton import ANKLES, BALLS, STANDARD, UPRIGHT
+from motionlab.ik import two_bone_ik
+from motionlab.skeleton import ANKLES, BALLS, STANDARD
+from tests.figures import standing
 
 FRAMES, GAP = 70, slice(20, 50)
 KNOWN = torch.ones(1, FRAMES, dtype=torch.bool)
@@ -19,17 +20,12 @@ LEG = float(STANDARD.offsets[STANDARD.indices(("left_knee", "left_ankle"))].norm
 @pytest.fixture(scope="module")
 def glides():
     """Somebody with bent knees stands, stands half a metre on behind a gap, and in between is pushed there."""
-    rot = torch.eye(3).repeat(1, FRAMES, len(STANDARD), 1, 1)
-    rot[:, :, 0] = UPRIGHT
-    root = torch.zeros(1, FRAMES, 3)
-    root[..., 1] = 0.5 * ((torch.arange(FRAMES) - 19.0) / 31).clamp(0, 1)
-    root[..., 2] = STANDARD.standing_height() - 0.04
+    start = standing(FRAMES)
+    start.root[:, 1] = 0.5 * ((torch.arange(FRAMES) - 19.0) / 31).clamp(0, 1)
+    heels = start.positions[:, STANDARD.indices(ANKLES)]
+    low = replace(start, root=start.root - torch.tensor([0.0, 0.0, 0.04]))
     contacts = torch.ones(1, FRAMES, len(STANDARD.contact_names))
-    start = Motion(STANDARD, root, rot, 30.0, contacts)
-    from motionlab.ik import two_bone_ik
-
-    heels = start.positions[0][:, STANDARD.indices(ANKLES)] + torch.tensor([0.0, 0.0, 0.04])
-    return replace(start, rot=two_bone_ik(start.clip(0), heels).rot[None])
+    return replace(low, root=low.root[None], rot=two_bone_ik(low, heels).rot[None], contacts=contacts)
 
 
 def dragged(motion):

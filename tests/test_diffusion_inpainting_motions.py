@@ -6,8 +6,6 @@ import pytest
 import torch
 from torch import nn
 
-from data_synth.corpus import Recipe as Corpus
-from data_synth.corpus import perform_sequence
 from motionlab.diffusion import inpainting, masks
 from motionlab.diffusion.features import Normaliser
 from motionlab.diffusion.inpainting import Inpainting
@@ -26,10 +24,9 @@ WAYS = {
 
 
 @pytest.fixture(scope="module")
-def motion():
+def motion(motions):
     """Six windows of 12 frames of a walk, anywhere in the room."""
-    cut = gather([on_standard(perform_sequence(Corpus(seconds=6.0, seed=3), 0).motion)], 12).evenly(6)
-    return replace(cut, skeleton=STANDARD)
+    return replace(gather([on_standard(motions[0])], 12).evenly(6), skeleton=STANDARD)
 
 
 class Oracle(nn.Module):

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from motionlab.diffusion import masks, windows
-from motionlab.diffusion.features import Layout
 from motionlab.diffusion.state import UNITS
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics.gait import slide_in_contact_mm
@@ -106,17 +105,6 @@ def test_on_the_standard_body_feet_stand_where_they_stood(motions):
 # --------------------------------------------------------------------------------------------------- masks
 def drawn(kind, generator, count=60, frames=20):
     return masks.draw_units(frames, count, generator, {kind: 1.0})
-
-
-def test_units_say_what_a_number_belongs_to():
-    layout = Layout(velocities=True)
-    owner = masks.units(layout)
-    assert owner.shape == (layout.size,)
-    assert (owner[layout.slices["root"]] == 22).all() and (owner[layout.slices["root_vel"]] == 22).all()
-    assert (owner[layout.slices["contacts"]] == 23).all()
-    for joint in (0, 5, 21):  # its rotation, and how it changes
-        begins = layout.slices["orient"].start + 6 * joint, layout.slices["rot_vel"].start + 6 * joint
-        assert (owner == joint).nonzero().flatten().tolist() == [at + k for at in begins for k in range(6)]
 
 
 def test_onward_is_all_behind_a_beginning(generator):

@@ -5,6 +5,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import imageio.v2 as imageio
 import numpy as np
@@ -51,8 +52,7 @@ def spoil(monkeypatch, error: BaseException):
     return lambda: monkeypatch.setattr(fit.film, "over_footage", drawn)
 
 
-def no_fit(*_, **__):
-    raise AssertionError("fitted again")
+no_fit = Mock(side_effect=AssertionError("fitted again"))
 
 
 def test_windows_stay_until_the_film_of_long_footage_is_drawn(tmp_path, monkeypatch):
@@ -98,10 +98,7 @@ def test_the_background_is_compared_before_the_fit(tmp_path, monkeypatch):
     """Ctrl-C in it costs no fit."""
     imageio.mimwrite(tmp_path / "clip.mp4", [np.zeros((72, 128, 3), np.uint8)] * SHORT, fps=30)
 
-    def stopped(clip):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(fit.Clip, "drift", stopped)
+    monkeypatch.setattr(fit.Clip, "drift", Mock(side_effect=KeyboardInterrupt))
     monkeypatch.setattr(fit, "fit_people", no_fit)
     with pytest.raises(KeyboardInterrupt):
         fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", video=tmp_path / "clip.mp4", quick=True)
@@ -194,21 +191,16 @@ def test_files_that_no_fit_wrote_are_not_overwritten(tmp_path, monkeypatch, name
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_the_fit(tmp_path, monkeypatch):
-    def refuse(*_, **__):
-        raise OSError(errno.EROFS, "Read-only file system")
-
     monkeypatch.setattr(fit, "fit_people", no_fit)
-    monkeypatch.setattr(files.tempfile, "TemporaryFile", refuse)
+    refused = Mock(side_effect=OSError(errno.EROFS, "Read-only file system"))
+    monkeypatch.setattr(files.tempfile, "TemporaryFile", refused)
     with pytest.raises(DataError, match="cannot be written: Read-only file system") as caught:
         fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
     assert "--out" in caught.value.remedy
 
 
 def test_a_disk_that_is_full_is_said_in_a_sentence(tmp_path, monkeypatch):
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(fit.gltf, "save", full)
+    monkeypatch.setattr(fit.gltf, "save", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
     with pytest.raises(DataError, match="cannot be written: No space left on device"):
         fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
     assert not list((tmp_path / "out").glob("*.*"))

@@ -94,15 +94,9 @@ def test_rolled_out_is_stage_3_of_a_fit(kit, walk, camera):
     with torch.no_grad():
         latent = kit.pose.encode(walk.rot[:, 0, 1:]).mean
         z = infer(kit.motion, states)[0].mean
-    unknown = Unknowns(
-        trans=parts["trans"],
-        orient=rotation.matrix_to_sixd(parts["root_orient"]),
-        latent=latent,
-        trans_vel=parts["trans_vel"],
-        root_orient_vel=parts["root_orient_vel"],
-        joints_vel=parts["joints_vel"].flatten(-2),
-        z=z,
-    ).map(lambda x: x[:, None])
+    orient, joints_vel = rotation.matrix_to_sixd(parts["root_orient"]), parts["joints_vel"].flatten(-2)
+    same = {name: parts[name] for name in ("trans", "trans_vel", "root_orient_vel")}
+    unknown = Unknowns(orient=orient, latent=latent, joints_vel=joints_vel, z=z, **same).map(lambda x: x[:, None])
     unknown = replace(unknown, betas=torch.zeros(2, 8), camera=torch.zeros(2, 3))
     wanted = stages.motion_terms(problem, unknown)
     first = stages.unknowns.first_state(unknown, kit)

@@ -13,7 +13,6 @@ from motionlab.humor import state
 from motionlab.humor.shooting import derivatives
 from motionlab.humor.shooting.derivatives import CHANGE, LATENTS, XI
 from motionlab.humor.state import ADDED
-from motionlab.humor.transition import DecoderLayers, Stepper
 from tests.rolled_inputs import F64, advanced, between, first_states, network, own, turned
 
 BLOCKS = {"xi": slice(0, XI), "turn": slice(XI, XI + 1), "way": slice(XI + 1, CHANGE)}
@@ -57,14 +56,6 @@ def test_every_block_of_a_transition_is_that_of_autograd(found, truth, effect, c
     torch.testing.assert_close(ours, theirs, atol=1e-10, rtol=1e-10)
     nothing = (effect == "xi" and cause in ("turn", "way")) or (effect, cause) == ("turn", "way")
     assert bool(ours.abs().max() > 1e-12) != nothing  # where a frame stands changes nothing in it
-
-
-def test_turn_takes_one_frames_axes_to_the_next(model, inputs, found):
-    x, z = inputs
-    v = torch.randn(COUNT, 1, 3, dtype=F64, generator=torch.Generator().manual_seed(1))
-    _, frame = advanced(model, x, z, torch.zeros(COUNT, CHANGE, dtype=F64))
-    torch.testing.assert_close(v @ found.turn, v @ frame.turn.mT)
-    torch.testing.assert_close(found.turn, Stepper(DecoderLayers.of(model))(x, DecoderLayers.of(model).shares(z)).turn)
 
 
 def test_control_rotations_turned_from_the_right_are_noticed(model, inputs, found):

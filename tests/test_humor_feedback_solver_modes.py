@@ -146,16 +146,11 @@ def test_a_mixture_without_weight_has_no_modes(case):
     assert feedback_solver._starts(problem, unknown, white, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
 
 
-def rows_of(reasons, history):
-    energy = history.nan_to_num(nan=torch.inf).amin(0)
-    return BatchFit({}, energy, history, 1.0, reasons)
-
-
 def test_a_person_who_stops_one_row_stops_its_clip_and_what_is_not_finite_is_nobodys():
     history = torch.tensor([[3.0, 5.0, torch.nan], [2.0, 5.0, 4.0]])
-    best, fit = feedback_solver._of_clips(
-        rows_of(["no decrease", "gradient", "interrupted"], history), torch.tensor([0, 1, 0])
-    )
+    energy, reasons = history.nan_to_num(nan=torch.inf).amin(0), ["no decrease", "gradient", "interrupted"]
+    rows = BatchFit({}, energy, history, 1.0, reasons)
+    best, fit = feedback_solver._of_clips(rows, torch.tensor([0, 1, 0]))
     assert best.tolist() == [0, 1] and fit.reasons == ["interrupted", "gradient"]
     assert fit.history.tolist() == [[3.0, 5.0], [2.0, 5.0]] and fit.energy.tolist() == [2.0, 5.0]
 
@@ -236,26 +231,13 @@ def test_a_plan_says_when_jumps_begin_how_sure_the_matrix_is_and_what_gain_is_no
         return linearised(problem, unknown, ridge=ridge, stride=stride)
 
     monkeypatch.setattr(feedback_solver, "_starts", starts)
-    plan = replace(
-        ALONE,
-        rounds=4,
-        closures=5,
-        mode_jumps=1,
-        trial_rounds=2,
-        two_starts=False,
-        damping=(0.1, 0.02),
-        ridge=0.01,
-        tolerance=0.0,
-    )
+    plan = replace(ALONE, rounds=4, closures=5, mode_jumps=1, trial_rounds=2, two_starts=False, tolerance=0.0)
+    plan = replace(plan, damping=(0.1, 0.02), ridge=0.01)
     _, fits = solve(problem, unknown, plan, linearise=linearise)
     assert asked == [0, 0, 1, 1] and ridges == [0.1, 0.02, 0.01, 0.01] and len(fits) == 4
     gained = float((fits[2].energy - fits[3].energy).max())
-    _, fewer = solve(
-        problem,
-        unknown,
-        replace(plan, rounds=9, min_gain=1.01 * gained / (unknown.z.shape[2] + 1)),
-        linearise=linearise,
-    )
+    plan = replace(plan, rounds=9, min_gain=1.01 * gained / (unknown.z.shape[2] + 1))
+    _, fewer = solve(problem, unknown, plan, linearise=linearise)
     assert len(fewer) <= 4 and torch.equal(fewer[0].energy, fits[0].energy)
     for wrong in ({"halving_after": -1}, {"halving_after": 29}, {"trial_rounds": -1}):
         with pytest.raises(ValueError, match=next(iter(wrong))):

@@ -91,10 +91,8 @@ def test_an_official_prior_says_of_the_pelvis_what_it_said_of_its_translation(gi
     ours = state.from_motion(walk()[1])[None].double()
     parts = state.unpack(ours)
     theirs = state.pack(parts | {"trans": parts["trans"] - j})
-    moved, moved_mixture = (
-        pretrained._at_pelvis(copy.deepcopy(official), given),
-        pretrained._mixture_at_pelvis(mixture, given),
-    )
+    moved = pretrained._at_pelvis(copy.deepcopy(official), given)
+    moved_mixture = pretrained._mixture_at_pelvis(mixture, given)
     z = torch.randn(1, 4, 48, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     there, here = official_rollout.rollout(official, theirs[:, 0], z), rollout.rollout(moved, ours[:, 0], z)
     latents = official_rollout.infer(official, theirs), rollout.infer(moved, ours)

@@ -30,15 +30,12 @@ def test_the_command_wants_steps_that_can_be_counted(steps, capsys):
 def test_the_command_trains_the_small_priors(motions, tmp_path, monkeypatch):
     """End to end with little data: both checkpoints load, and their recipes say what they are."""
     some = [m for seed in (1, 2) for m in (perform_sequence(Corpus(seconds=6.0, seed=seed), 0).motion, *motions)]
-    data = recipes.RealMotions(
-        {splits.RECORDED: some}, {"unseen": motions[:1]}, {splits.RECORDED: [("left_foot",)] * len(some)}
-    )
+    missing = {splits.RECORDED: [("left_foot",)] * len(some)}
+    data = recipes.RealMotions({splits.RECORDED: some}, {"unseen": motions[:1]}, missing)
     monkeypatch.setattr(recipes, "real_motions", lambda folder: data)
     assert main(["train", "small", "--steps", "3", "--seed", "2", "--out", str(tmp_path)]) == 0
-    pose, initial = (
-        pretrained.load_pose_prior(str(tmp_path / "pose_prior_real")),
-        pretrained.load_initial(str(tmp_path / "init_gmm_real")),
-    )
+    pose = pretrained.load_pose_prior(str(tmp_path / "pose_prior_real"))
+    initial = pretrained.load_initial(str(tmp_path / "init_gmm_real"))
     turns = pose.decode(torch.zeros(2, 32))
     assert torch.allclose(turns @ turns.mT, torch.eye(3).expand_as(turns), atol=1e-5)
     features = recipes._first_states(motions[:1], 20)

@@ -68,16 +68,14 @@ def test_stage_three_lowers_its_energy(kit, walk, monkeypatch):
     assert (total < sum(frozen.energies[3].values()) - 0.2).all()
 
 
-def with_mean_tolerance(real):
-    """A search in which one tolerance, the mean, serves all clips."""
-    return lambda *args, tolerance_change, **how: real(*args, tolerance_change=float(tolerance_change.mean()), **how)
-
-
 @pytest.mark.parametrize("control", [False, True])
 def test_a_search_ends_by_its_own_energy(control, monkeypatch):
     """To the bit, where rows do not touch each other's rounding."""
-    if control:
-        monkeypatch.setattr(stages, "minimise_batch", with_mean_tolerance(optimise.minimise_batch))
+    if control:  # one tolerance, the mean, serves all clips
+        search = lambda *args, tolerance_change, **how: optimise.minimise_batch(  # noqa: E731
+            *args, tolerance_change=float(tolerance_change.mean()), **how
+        )
+        monkeypatch.setattr(stages, "minimise_batch", search)
 
     def terms(_, at):
         x, y = at.trans.unbind(-1)
@@ -284,11 +282,8 @@ def test_official_and_faithful_modes_see_one_energy_and_one_gradient(kit, walk, 
     for stage, (ours, our_slopes), (theirs, their_slopes) in official_and_faithful(kit, seen, weights):
         assert ours.keys() == theirs.keys() and len(ours) >= (1, 4, 8)[stage - 1]
         terms = max(((ours[n] - theirs[n]).abs().max() / ours[n].abs().max()).item() for n in ours)
-        slopes = max(
-            ((our_slopes[n] - their_slopes[n]).norm() / slope.norm()).item()
-            for n, slope in our_slopes.items()
-            if slope is not None and slope.any()
-        )
+        there = [(x, their_slopes[n]) for n, x in our_slopes.items() if x is not None and x.any()]
+        slopes = max(((x - y).norm() / x.norm()).item() for x, y in there)
         assert all((our_slopes[n] is None) == (their_slopes[n] is None) for n in our_slopes)
         if exact or stage < 3:
             assert max(terms, slopes) < 1e-5, (stage, terms, slopes)

@@ -11,7 +11,7 @@ import torch
 
 from motionlab import io, rotation
 from motionlab.animate import rewriting
-from motionlab.errors import DataError, ShapeError
+from motionlab.errors import DataError
 from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
@@ -160,7 +160,6 @@ def test_every_end_site_has_a_length_and_is_ours_again(tmp_path):
     assert ((ends * bones).sum(1) > 0).all()  # onwards: toes forward, the head up, hands outward
     assert len(bvh.load(path).skeleton) == 22
     hand = f"{ends[-1][0]:.6f} 0.000000 0.000000"
-    assert hand in path.read_text()
     measured = bvh.load(write(tmp_path, path.read_text().replace(hand, f"{ends[-1][0] + 1e-4:.6f} 0 0"), "b.bvh"))
     assert measured.skeleton.names[-1] == "right_wrist_end" and len(measured.skeleton) == 23
 
@@ -222,18 +221,11 @@ def test_bones_that_change_their_length_are_refused_or_averaged(tmp_path):
     assert abs(float(motion.skeleton.offsets[1, 0]) - 0.145) < 1e-6
 
 
-def test_save_is_whole_or_not_at_all(tmp_path):
-    with pytest.raises(ShapeError):
-        bvh.save(tmp_path / "a.bvh", Motion(STANDARD, torch.zeros(2, 3, 3), torch.zeros(2, 3, 22, 3, 3), 30.0))
-    with pytest.raises(ValueError, match="order"):
-        bvh.save(tmp_path / "a.bvh", standing(), order="XXY")
-    assert list(tmp_path.iterdir()) == []
-
-
 def cut(marker: str, text: str = TEXT) -> str:
     return text[: text.index(marker)]
 
 
+ONE = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\n5\n"
 WRONG = {  # name: (file, words of the message)
     "another format": ('{"Frames": []}', "line 1.*expected HIERARCHY"),
     "no HIERARCHY": (TEXT.replace("HIERARCHY\n", ""), "line 1.*expected HIERARCHY"),
@@ -247,36 +239,24 @@ WRONG = {  # name: (file, words of the message)
     "frames too few": (TEXT.replace("Frames: 2", "Frames: 4"), "line 31.*promises 4 frames, the file has 2"),
     "frames too many": (TEXT + "1 2 3\n" * 2, "promises 2 frames, the file has 4"),
     "a frame too many, and cut off": (TEXT + "1 2 3\n", "line 35.*expected 17 values, got 3"),
-    "a value too many": (TEXT.replace("33 12", "33 12 5"), "line 33.*expected 17 values, got 18"),
     "NaN": (TEXT.replace("33 12", "nan 12"), "line 33.*value 16 is 'nan'"),
-    "infinite": (TEXT.replace("-7 8", "-inf 8"), "line 34.*value 16"),
     "a word for a value": (TEXT.replace("33 12", "33 twelve"), "line 33.*value 17 is 'twelve'"),
     "a huge value": (TEXT.replace("33 12", "33 1e300"), "not a usable number"),
     "zero frames": (cut("1 91").replace("Frames: 2", "Frames: 0"), "line 31.*no frames"),
-    "negative frames": (TEXT.replace("Frames: 2", "Frames: -2"), "line 31.*no frames"),
     "frame time zero": (TEXT.replace("0.033333", "0"), "line 32.*frame time"),
-    "frame time negative": (TEXT.replace("0.033333", "-0.03"), "line 32.*frame time"),
     "frame time missing": (TEXT.replace("0.033333", ""), "line 32"),
-    "frame time nan": (TEXT.replace("0.033333", "nan"), "line 32.*frame time"),
     "channel count": (TEXT.replace("CHANNELS 3", "CHANNELS 4"), "line 9.*promises 4 and lists 3"),
     "unknown channel": (TEXT.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Yscale"), "line 9.*channels must be"),
     "channel twice": (TEXT.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Zrotation"), "line 9.*different"),
     "offset of two": (TEXT.replace("OFFSET 9 0 0", "OFFSET 9 0"), "line 17.*expected 3 values"),
-    "offset NaN": (TEXT.replace("OFFSET 9 0 0", "OFFSET 9 nan 0"), "line 17"),
     "no offset": (TEXT.replace("OFFSET 9 0 0\n", "\n"), "Leg ends without an OFFSET"),
     "duplicate name": (TEXT.replace("JOINT Leg", "JOINT Spine"), "line 15.*second joint named 'Spine'"),
     "no name": (TEXT.replace("JOINT Leg", "JOINT"), "line 15.*without a name"),
     "brace missing": (TEXT.replace("}\nMOTION", "MOTION"), "braces of Hips are still open"),
     "brace too many": (TEXT.replace("}\nMOTION", "}\n}\nMOTION"), "line 30.*} too many"),
     "no opening brace": (TEXT.replace("ROOT Hips\n{", "ROOT Hips\n"), "followed by {"),
-    "no channels at all": (
-        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\n",
-        "no channels",
-    ),
-    "a point": (
-        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n}\nMOTION\nFrames: 1\nFrame Time: 0.1\n5\n",
-        "one point",
-    ),
+    "no channels at all": (ONE.replace("CHANNELS 1 Xrotation\n", ""), "no channels"),
+    "a point": (ONE, "one point"),
 }
 
 
@@ -397,15 +377,10 @@ def test_a_count_of_frames_that_is_off_by_one_is_noted_and_mended_in_writing(tmp
     torch.testing.assert_close(again.rot[1], rot[1], atol=1e-6, rtol=0)
 
 
-@pytest.mark.parametrize(
-    ("name", "encoding", "said"),
-    [
-        ("Hüfte_é", "latin-1", "Latin-1"),
-        ("左足首", "cp932", "Shift-JIS"),
-        ("センター", "cp932", "Shift-JIS"),
-        ("Hüfte", "utf-8", ""),
-    ],
-)
+NAMES = [("Hüfte_é", "latin-1", "Latin-1"), ("左足首", "cp932", "Shift-JIS"), ("Hüfte", "utf-8", "")]
+
+
+@pytest.mark.parametrize(("name", "encoding", "said"), NAMES)
 def test_names_that_are_not_utf_8_survive_reading_and_writing(tmp_path, name, encoding, said):
     path = write(tmp_path, TEXT.replace("Hips", name).encode(encoding))
     loaded = bvh.load(path, unit="cm", up="y")

@@ -7,29 +7,13 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
+from seeds import LAYOUT
+from seeds import deepmimic_frames as frames
 
 from motionlab.errors import DataError
 from motionlab.io import clips
 from tests.recorded import DATA, needs_data
 from tests.twins import fk as twin_fk
-
-LAYOUT = ["chest4", "neck4", "rhip4", "rknee1", "rankle4", "rshoulder4", "relbow1", "lhip4", "lknee1", "lankle4"]
-LAYOUT += ["lshoulder4", "lelbow1"]
-
-
-def frames(count: int = 3, seed: int = 0) -> list[list[float]]:
-    rng = np.random.default_rng(seed)
-    rows = []
-    for i in range(count):
-        row = [0.033332 if i < count - 1 else 0.0, *rng.normal(size=3), *_wxyz(rng)]
-        for part in LAYOUT:
-            row += _wxyz(rng) if part.endswith("4") else [rng.uniform(-2, 2)]
-        rows.append([float(v) for v in row])
-    return rows
-
-
-def _wxyz(rng) -> list[float]:
-    return Rotation.random(random_state=rng).as_quat()[[3, 0, 1, 2]].tolist()
 
 
 def write(folder: Path, content) -> Path:
@@ -71,20 +55,14 @@ def test_knees_and_elbows_bend_as_a_human_does(tmp_path):
     assert (at("left_hip") - at("right_hip")) @ left > 0.1
 
 
-@pytest.mark.parametrize(
-    ("duration", "fps"), [(0.033332, 30), (0.016666, 60), (0.008333, 120), (0.0625, 16), (0.041667, 24)]
-)
+@pytest.mark.parametrize(("duration", "fps"), [(0.033332, 30), (0.008333, 120), (0.0625, 16), (0.041667, 24)])
 def test_printed_durations_give_whole_rates(tmp_path, duration, fps):
-    rows = frames(4)
-    for row in rows[:-1]:
-        row[0] = duration
+    rows = [[duration, *row[1:]] for row in frames(4)]
     assert clips.load_deepmimic(write(tmp_path, {"Frames": rows})).fps == fps
 
 
 def test_uneven_frames_are_resampled_and_noted(tmp_path):
-    rows = frames(5)
-    for i, row in enumerate(rows[:-1]):
-        row[0] = 0.2 if i == 1 else 0.1
+    rows = [[0.2 if i == 1 else 0.1, *row[1:]] for i, row in enumerate(frames(5))]
     motion = clips.load_deepmimic(write(tmp_path, {"Frames": rows}))
     assert motion.frames == 6 and "resampled" in motion.notes[0]
     even = clips.load_deepmimic(write(tmp_path, {"Frames": [[0.1, *row[1:]] for row in rows]}))
@@ -93,14 +71,10 @@ def test_uneven_frames_are_resampled_and_noted(tmp_path):
     torch.testing.assert_close(motion.rot[[0, 1, 3, 4, 5]], even.rot, atol=1e-5, rtol=0)
 
 
-def broken(change) -> dict:
-    content = {"Frames": frames()}
-    change(content["Frames"])
-    return content
-
-
-def setter(frame: int, column: int, value):
-    return lambda rows: rows[frame].__setitem__(column, value)
+def broken(frame: int, columns: int | slice, value) -> dict:
+    rows = frames()
+    rows[frame][columns] = value
+    return {"Frames": rows}
 
 
 WRONG = {
@@ -108,17 +82,16 @@ WRONG = {
     "no Frames": ({"Loop": "wrap"}, '"Frames"'),
     "Frames a word": ({"Frames": "many"}, '"Frames"'),
     "zero frames": ({"Frames": []}, "expected shape"),
-    "43 numbers": (broken(lambda rows: rows[2].pop()), "frame 2.*expected 44 numbers, got 43"),
-    "a frame that is a number": (broken(lambda rows: rows.__setitem__(1, 5)), "frame 1.*got int"),
-    "a word": (broken(setter(1, 9, "x")), "expected numbers"),
-    "null": (broken(setter(1, 9, None)), "Frames"),
-    "NaN": (json.dumps(broken(setter(1, 9, float("nan")))).encode(), "NaN is not a number"),
-    "huge": (broken(setter(1, 9, 1e300)), "not a usable number"),
-    "zero quaternion": (broken(lambda rows: rows[1].__setitem__(slice(4, 8), [0] * 4)), "frame 1, root.*length 0"),
-    "negative duration": (broken(setter(0, 0, -0.03)), "frame 0.*only the last"),
-    "zero duration inside": (broken(setter(1, 0, 0)), "frame 1.*only the last"),
+    "43 numbers": (broken(2, slice(1), []), "frame 2.*expected 44 numbers, got 43"),
+    "a frame that is a number": ({"Frames": [*frames(1), 5]}, "frame 1.*got int"),
+    "a word": (broken(1, 9, "x"), "expected numbers"),
+    "NaN": (json.dumps(broken(1, 9, float("nan"))).encode(), "NaN is not a number"),
+    "huge": (broken(1, 9, 1e300), "not a usable number"),
+    "zero quaternion": (broken(1, slice(4, 8), [0] * 4), "frame 1, root.*length 0"),
+    "negative duration": (broken(0, 0, -0.03), "frame 0.*only the last"),
+    "zero duration inside": (broken(1, 0, 0), "frame 1.*only the last"),
     "one frame without duration": ({"Frames": frames(1)}, "frame 0"),
-    "a pause of hours": (broken(setter(1, 0, 9e9)), "frame 1.*lasts"),
+    "a pause of hours": (broken(1, 0, 9e9), "frame 1.*lasts"),
 }
 
 

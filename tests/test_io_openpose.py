@@ -98,48 +98,6 @@ def test_confidence_zero_hides_whatever_coordinates_are_there(tmp_path):
     assert observed.visible[:, 3].all()
 
 
-def crowd(seed: int, frames: int = 40, people: int = 4) -> tuple[dict, list[np.ndarray]]:
-    """People who walk at their own speed, listed in another order in every frame; and the nose track of each."""
-    draw = np.random.default_rng(seed)
-    speed = draw.uniform(-4, 4, people)
-    listed, noses = {}, [np.zeros((frames, 2)) for _ in range(people)]
-    for frame in range(frames):
-        shown = [person(150 + 250 * p + speed[p] * frame, 300 + 5 * p, height=180 + 10 * p) for p in range(people)]
-        for p, one in enumerate(shown):
-            one[:, :2] += draw.normal(scale=2, size=(25, 2))
-            noses[p][frame] = one[0, :2]
-        listed[frame] = [shown[p] for p in draw.permutation(people)]
-    return listed, noses
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_one_person_is_followed_through_a_shuffled_crowd(tmp_path, seed):
-    listed, noses = crowd(seed)
-    folder = write(tmp_path / "a", listed)
-    observed = openpose.load(folder, fps=30, person="largest")
-    np.testing.assert_allclose(observed.keypoints[:, 0].numpy(), noses[-1], atol=1e-3)
-    naive = np.array([people[0][0, :2] for people in listed.values()])
-    assert np.abs(np.diff(naive[:, 0])).max() > 100  # the file's own order jumps from person to person
-    for place in range(4):
-        nose = openpose.load(folder, fps=30, person=place).keypoints[:, 0].numpy()
-        np.testing.assert_allclose(nose[0], listed[0][place][0, :2], atol=1e-3)
-        assert np.linalg.norm(np.diff(nose, axis=0), axis=-1).max() < 20
-
-
-def test_a_person_may_vanish_for_a_while(tmp_path):
-    listed, noses = crowd(1)
-    largest = noses[-1]
-    for frame in range(10, 20):
-        listed[frame] = [p for p in listed[frame] if not np.allclose(p[0, :2], largest[frame])]
-    folder = write(tmp_path / "a", listed)
-    observed = openpose.load(folder, fps=30, person="largest", gap=0.5)
-    present = observed.visible.any(-1)
-    assert not present[10:20].any() and present[:10].all() and present[20:].all()
-    np.testing.assert_allclose(observed.keypoints[present][:, 0].numpy(), largest[present.numpy()], atol=1e-3)
-    short = openpose.load(folder, fps=30, person="largest", gap=0.1)
-    assert int(short.visible.any(-1).sum()) < int(present.sum())
-
-
 def test_longest_wins_over_a_passer_by(tmp_path):
     listed = {n: [person(200 + n)] for n in range(20)}
     for n in range(5, 9):
@@ -191,6 +149,3 @@ def test_people_without_any_confidence_are_nobody(tmp_path, count, layout):
     ghosts = [person(100 * n, confidence=0) for n in range(count)]
     with pytest.raises(DataError, match="nobody was detected in any frame: no point is sure enough"):
         openpose.load(write(tmp_path / "a", {0: ghosts, 1: ghosts}), fps=30, layout=layout)
-
-
-#: SHA-1 of who was chosen before tracking looked at boxes, too (issue 26).

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from motionlab.errors import DataError, MissingData, ShapeError
-from motionlab.io.reading import checked_array, frame_rate, read_json, read_npz, read_text, reading
+from motionlab.io.reading import checked_array, frame_rate, reading
 
 
 @pytest.mark.parametrize(
@@ -21,22 +21,6 @@ def test_errors_that_already_say_it_pass_through(tmp_path, error):
     with pytest.raises(type(error)) as caught, reading(tmp_path):
         raise error
     assert caught.value is error
-
-
-def test_text_json_and_arrays(tmp_path):
-    path = tmp_path / "a"
-    path.write_bytes(b"\xef\xbb\xbf[1, 2]")
-    with reading(path) as at:
-        assert read_text(at) == "[1, 2]" and read_json(at) == [1, 2]
-    arrays = {"a": np.arange(6).reshape(2, 3), "f": np.asfortranarray(np.ones((2, 3))), "s": np.array("x")}
-    for save in (np.savez, np.savez_compressed):
-        with path.open("wb") as file:
-            save(file, **arrays)
-        with reading(path) as at:
-            loaded, some = read_npz(at), read_npz(at, ("a", "none"))
-        assert set(loaded) == set(arrays) and set(some) == {"a"}
-        for key, array in arrays.items():
-            np.testing.assert_array_equal(loaded[key], array)
 
 
 def test_numbers_and_rates(tmp_path):

@@ -41,13 +41,6 @@ def test_a_folder_of_ones_own_works(tmp_path):
     assert rows[tmp_path.name, "bvh"].minutes == pytest.approx(6 / 30 / 60) and rows["mine", "npz"].clips == 2
 
 
-def test_keypoints_of_unknown_rate_are_not_guessed(tmp_path):
-    (tmp_path / "0.json").write_text('{"people": [{"pose_keypoints_2d": ' + str([1.0] * 54) + "}]}")
-    ((_, path, loader),) = recordings(tmp_path)
-    with pytest.raises(DataError, match="fps: the file holds no frames per second"):
-        loader(path)
-
-
 def test_a_bad_file_stops_nothing_and_is_named(tmp_path):
     for name in ("a", "c"):
         bvh.save(tmp_path / f"{name}.bvh", standing(6))
@@ -92,15 +85,10 @@ def test_what_is_missing_says_how_to_get_it(tmp_path):
         list(recordings(tmp_path, "yours"))
 
 
-def test_npz_layouts_are_told_by_their_keys(tmp_path):
-    amass.save(tmp_path / "a.npz", standing(6))
-    dance(tmp_path / "b.npz")
-    assert (
-        io._npz_loader(tmp_path / "a.npz") is amass.load and io._npz_loader(tmp_path / "b.npz") is points.load_anidance
-    )
+def test_an_npz_of_no_known_layout_says_its_keys(tmp_path):
     np.savez(tmp_path / "c.npz", weights=np.zeros(3))
     with pytest.raises(DataError, match="its keys are weights"):
-        io._npz_loader(tmp_path / "c.npz")
+        io.load(tmp_path / "c.npz")
 
 
 def test_anidance_adds_the_centre_and_stands_up(tmp_path):
@@ -138,11 +126,8 @@ def test_anidance_names_fit_the_bodies():
 
 @needs_data
 def test_every_recording_of_the_data_set_loads():
-    folder, large = (
-        DATA,
-        {"cmu_library", "cmu_native"},
-    )  # of these a sample is a test's elsewhere
-    rows = {(r.source, r.kind): r for name in sorted(set(SOURCES) - large) for r in inventory(folder, name)}
+    large = {"cmu_library", "cmu_native"}  # of these a sample is a test's elsewhere
+    rows = {(r.source, r.kind): r for name in sorted(set(SOURCES) - large) for r in inventory(DATA, name)}
     clips = {"bandai_namco": 213, "anidance": 38, "cmu_amc": 17, "deepmimic": 29, "reactidle": 4}
     assert {name: sum(r.clips for r in rows.values() if r.source == name) for name in clips} == clips
     minutes = {"bandai_namco": 18.4, "anidance": 19.6, "cmu_amc": 5.8, "deepmimic": 4.5, "reactidle": 7.0}

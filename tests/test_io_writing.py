@@ -48,10 +48,11 @@ def test_others_may_read_what_an_ordinary_file_would_let_them(tmp_path, suffix):
     assert (tmp_path / f"a{suffix}").stat().st_mode == (tmp_path / "ordinary").stat().st_mode
 
 
-@pytest.mark.parametrize("unit", ["ell", 0, -1.0, float("nan")])
-def test_bvh_in_no_known_unit_is_refused(tmp_path, unit):
-    with pytest.raises(ValueError, match="unit"):
-        bvh.save(tmp_path / "a.bvh", standing(), unit=unit)
+@pytest.mark.parametrize("how", [*({"unit": unit} for unit in ("ell", 0, -1.0, float("nan"))), {"order": "XXY"}])
+def test_bvh_in_no_known_unit_or_order_is_refused(tmp_path, how):
+    with pytest.raises(ValueError, match=next(iter(how))):
+        bvh.save(tmp_path / "a.bvh", standing(), **how)
+    assert not list(tmp_path.iterdir())
 
 
 class Unwell(Exception):

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -165,11 +166,7 @@ def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatc
 
 def test_a_report_that_runs_nothing_or_is_interrupted_still_has_its_index(suite, tmp_path, monkeypatch):
     assert suite_main.main(["report", "--no-run", "--out", str(tmp_path / "pages")]) == 0
-
-    def interrupt(jobs, environment, done):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(execute, "run_side_by_side", interrupt)
+    monkeypatch.setattr(execute, "run_side_by_side", Mock(side_effect=KeyboardInterrupt))
     assert suite_main.main(["report", "--out", str(tmp_path / "report")]) == 130
     for folder in ("pages", "report"):
         assert "Not checked today" in (tmp_path / folder / "index.html").read_text(encoding="utf-8")
@@ -274,20 +271,6 @@ def test_npz_stands_on_the_floor_on_the_bones_that_its_reader_assumes(tmp_path):
     assert __main__.main(["convert", str(source), str(target)]) == 0
     soles = load(target).positions[..., STANDARD.indices(["left_foot", "right_foot"]), 2] - STANDARD.sole
     assert soles.abs().max() < 0.01
-
-
-def test_convert_takes_the_unit_and_the_axis_of_a_bvh(tmp_path, capsys):
-    source, target = tmp_path / "still.bvh", tmp_path / "still.glb"
-    bvh.save(source, standing(4), unit="m")
-    assert __main__.main(["convert", str(source), str(target), "--unit", "inch", "--up", "y", "--bones"]) == 0
-    assert "detected" not in capsys.readouterr().out
-    back, bone = load(target).skeleton, STANDARD.index("left_knee")
-    assert back.offsets[back.index("left_knee")].norm() == pytest.approx(0.0254 * STANDARD.offsets[bone].norm())
-    with pytest.raises(SystemExit):
-        __main__.main(["convert", str(source), str(target), "--unit", "parsec"])
-    assert "parsec" in capsys.readouterr().err
-    assert __main__.main(["convert", str(source), str(target), "--asf", "a.asf"]) == 2
-    assert "leave out --asf" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -10,38 +10,24 @@ from data_synth import scenes
 from data_synth.actions import ACTIONS
 from motionlab import rotation
 from motionlab.metrics import gait, intervals
-from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD, UPRIGHT
+from motionlab.skeleton import STANDARD
 from tests.draws import seeded
+from tests.figures import standing
 
 
-def standing(frames=40, clips=2):
-    rot = torch.eye(3).repeat(clips, frames, 22, 1, 1)
-    rot[:, :, 0] = UPRIGHT
-    root = torch.zeros(clips, frames, 3)
-    root[..., 2] = float(STANDARD.standing_height())
-    return Motion(STANDARD, root, rot, 30.0)
-
-
-def bent(hip, knee, frames=40):
-    """Standing, but with both thighs raised by ``hip`` degrees and both knees flexed by ``knee``."""
-    motion = standing(frames)
-    rot = motion.rot.clone()
-    turn = [rotation.exp(torch.tensor([math.radians(a), 0.0, 0.0])) for a in (-hip, knee)]
+def bent(hip, knee):
+    """Two who stand, but with both thighs raised by ``hip`` degrees and both knees flexed by ``knee``."""
+    motion = standing(40)
     for side in ("left", "right"):
-        rot[:, :, STANDARD.index(f"{side}_hip")] = turn[0]
-        rot[:, :, STANDARD.index(f"{side}_knee")] = turn[1]
-    return replace(motion, rot=rot)
-
-
-def walking(seconds=4.0, speed=1.2):
-    take = ACTIONS["walk"](scenes.person(0, seeded()), seeded(1), seconds=seconds, speed=speed).motion.cut(30, 90)
-    return scenes.together([take, take])
+        for part, degrees in (("hip", -hip), ("knee", knee)):
+            turn = rotation.exp(torch.tensor([math.radians(degrees), 0.0, 0.0]))
+            motion.rot[:, STANDARD.index(f"{side}_{part}")] = turn
+    return replace(motion, root=motion.root.repeat(2, 1, 1), rot=motion.rot.repeat(2, 1, 1, 1, 1))
 
 
 def test_angles_of_a_seat():
     tilt, bend = gait.tilt_and_bend(bent(90, 80))
-    rest_tilt, rest_bend = gait.tilt_and_bend(standing())
+    rest_tilt, rest_bend = gait.tilt_and_bend(bent(0, 0))
     assert ((tilt - rest_tilt) - 90).abs().max() < 3 and ((bend - rest_bend) - 80).abs().max() < 3
 
 
@@ -51,7 +37,8 @@ def test_who_sits(hip, knee, seated):
 
 
 def test_a_turned_world_changes_no_step():
-    motion = walking()
+    motion = ACTIONS["walk"](scenes.person(0, seeded()), seeded(1), seconds=4.0, speed=1.2).motion.cut(30, 90)
+    motion = scenes.together([motion, motion])
     turn = rotation.rotation_about("z", torch.tensor(2.0))
     rot = motion.rot.clone()
     rot[..., 0, :, :] = turn @ rot[..., 0, :, :]

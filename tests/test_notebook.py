@@ -24,11 +24,7 @@ def bench(tmp_path, monkeypatch):
     for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("MOTIONLAB_RECORD", "1")
-
-    def open_lab(profile, data=None, seed=0):
-        return notebook.setup("02_x", profile=profile, seed=seed, budgets=BUDGETS, data=data)
-
-    return open_lab
+    return lambda profile, **how: notebook.setup("02_x", profile=profile, budgets=BUDGETS, **{"seed": 0} | how)
 
 
 def verdict_of(lab):

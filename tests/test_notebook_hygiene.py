@@ -76,14 +76,8 @@ def test_notebook_is_honest(path):
 
 def cell(source, count, output="all holds", tags=(), **more):
     outputs = [{"output_type": "stream", "name": "stdout", "text": output}] if output else []
-    return {
-        "cell_type": "code",
-        "source": source,
-        "execution_count": count,
-        "metadata": {"tags": list(tags)},
-        "outputs": outputs,
-        **more,
-    }
+    made = {"cell_type": "code", "source": source, "execution_count": count, "outputs": outputs}
+    return made | {"metadata": {"tags": list(tags)}} | more
 
 
 def good_cells():

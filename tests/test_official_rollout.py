@@ -1,14 +1,19 @@
-"""The official form: its structure and its faults. That its numbers are right, ``test_humor_parity`` shows."""
+"""The official form: structure, faults, and body. That its numbers are right, ``test_humor_parity`` shows."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from motionlab import rotation
+from motionlab.humor.body_shape import landmarks, offsets
 from motionlab.humor.cvae import Cvae
+from motionlab.skeleton import STANDARD, fk
+from studies.official import body as official_body
 from studies.official import rollout as official_rollout
 from studies.official import rotation as official_rotation
+from studies.official.rotation import matrix_to_axis_angle
 from tests.rolled_inputs import F64, first_states
 
 
@@ -60,3 +65,14 @@ def test_official_rotation_vector_folds_and_breaks_at_the_identity():
         assert bool(gradient.isfinite().all()) == finite
         (ours,) = torch.autograd.grad(rotation.log(matrix).sum(), matrix)
         assert ours.isfinite().all()
+
+
+def test_joints_and_landmarks_are_those_of_forward_kinematics(generator):
+    rot = rotation.random((2, 5, 22), generator)
+    root, betas = torch.randn(2, 5, 3, generator=generator), torch.randn(2, 8, generator=generator)
+    joints, turns = fk(replace(STANDARD, offsets=offsets(betas)[:, None]), root, rot)
+    found = official_body.body_joints_by_lbs(root, matrix_to_axis_angle(rot), betas)
+    for ours, theirs in zip(found, (joints, landmarks(joints, turns, betas)), strict=True):
+        torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=0)
+    other, _ = official_body.body_joints_by_lbs(root, matrix_to_axis_angle(rot), betas + 0.1)
+    assert (other - found[0]).abs().max() > 1e-3

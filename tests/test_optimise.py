@@ -55,14 +55,8 @@ def test_every_clip_takes_the_path_of_torch(memory):
     batch = minimise_batch(lambda v: unit * rosenbrock(v), {"x": x}, memory=memory, tolerance_grad=1e-7 * unit)
     assert set(batch.reasons) == {"gradient"} and batch.converged.all()
     for b in range(len(x)):
-        alone = minimise(
-            lambda v: unit * rosenbrock({"x": v["x"][None]}).sum(),
-            {"x": x[b].detach().requires_grad_()},
-            steps=1,
-            inner=900,
-            memory=memory,
-            tolerance_grad=1e-7 * unit,
-        )
+        energy, begin = lambda v: unit * rosenbrock({"x": v["x"][None]}).sum(), {"x": x[b].detach().requires_grad_()}
+        alone = minimise(energy, begin, steps=1, inner=900, memory=memory, tolerance_grad=1e-7 * unit)
         early = slice(0, 25)  # later, rounding has grown
         assert torch.allclose(batch.history[early, b], torch.tensor(alone.history).double()[early], rtol=1e-6)
         assert abs(closures_of(batch, b) - alone.closures) <= 0.1 * alone.closures
@@ -76,13 +70,8 @@ def test_quadratics_of_any_condition():
     batch = optimise.minimise_batch(energy, {"x": x}, tolerance_grad=1e-9)
     assert (batch.variables["x"] - at).abs().max() < 1e-8
     for b in range(len(at)):
-        alone = minimise(
-            lambda v, b=b: energy({"x": v["x"][None]}, slice(b, b + 1)).sum(),
-            {"x": x[b].detach().requires_grad_()},
-            steps=1,
-            inner=900,
-            tolerance_grad=1e-9,
-        )
+        mine, begin = lambda v, b=b: energy({"x": v["x"][None]}, [b]).sum(), {"x": x[b].detach().requires_grad_()}
+        alone = minimise(mine, begin, steps=1, inner=900, tolerance_grad=1e-9)
         assert closures_of(batch, b) <= 1.1 * alone.closures
 
 

@@ -101,19 +101,12 @@ def is_what_the_export_computes(names: dict) -> None:
 
 
 PROMISES = (
-    is_a_film_of_the_walk,
-    is_an_error_of_each_person,
-    is_twice_as_fine,
-    is_a_fit_without_doubts,
-    is_a_repair_of_the_gap_alone,
-    is_what_the_export_computes,
-    is_a_file_for_viewers,
-)
+    is_a_film_of_the_walk, is_an_error_of_each_person, is_twice_as_fine, is_a_fit_without_doubts,
+    is_a_repair_of_the_gap_alone, is_what_the_export_computes, is_a_file_for_viewers,
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("number", "promise"), list(enumerate(PROMISES)), ids=lambda each: getattr(each, "__name__", "")
-)
+@pytest.mark.parametrize(("number", "promise"), [*enumerate(PROMISES)], ids=lambda each: getattr(each, "__name__", ""))
 def test_example_runs_as_printed_and_keeps_its_promise(number, promise, desk, monkeypatch):
     """Each stands alone: nothing of one is needed by another."""
     monkeypatch.chdir(desk)

@@ -74,11 +74,7 @@ def test_the_standard_skeleton_comes_back_as_it_is(generator, proportions):
 @pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig1:", "mixamorig_", "Armature:mixamorig:"])
 def test_mixamo_names(generator, prefix):
     motion = wild(generator)
-    own = {"spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "pelvis": "Hips", "neck": "Neck", "head": "Head"}
-    parts = {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase"}
-    parts |= {"collar": "Shoulder", "shoulder": "Arm", "elbow": "ForeArm", "wrist": "Hand"}
-    own |= {f"{s}_{part}": f"{s.title()}{name}" for s in SIDES for part, name in parts.items()}
-    names = tuple(prefix + own[name] for name in STANDARD.names)
+    names = tuple(made("Mixamo")[1][name].replace("mixamorig:", prefix) for name in STANDARD.names)
     result = retarget(replace(motion, skeleton=replace(motion.skeleton, names=names, contact_names=())))
     assert result.unmapped == () and result.names["left_knee"] == f"{prefix}LeftLeg"
     assert_same(result, motion)
@@ -224,27 +220,6 @@ def test_what_is_not_understood_is_refused(generator):
         retarget(along_x, proportions="mine")
     with pytest.raises(ValueError, match="leg"):
         retarget(along_x, leg=-1.0)
-
-
-def test_cmu_in_bvh_with_joints_between(generator):
-    motion = wild(generator)
-    spelled = made("CMU BVH")[1]
-    names, parents, offsets, rot = [], [], [], []
-    for j, name in enumerate(STANDARD.names):
-        parent = names.index(spelled[STANDARD.names[STANDARD.parents[j]]]) if j else -1
-        offset = motion.skeleton.offsets[j]
-        if name.endswith(("hip", "head")):  # LHipJoint and Neck1 stand between, as in cmu1 and fair1
-            names.append(f"between_{name}")
-            parents.append(parent)
-            offsets.append(offset / 3)
-            rot.append(torch.eye(3, dtype=torch.float64).expand(motion.frames, 3, 3))
-            parent, offset = len(names) - 1, offset * 2 / 3
-        names.append(spelled[name])
-        parents.append(parent)
-        offsets.append(offset)
-        rot.append(motion.rot[:, j])
-    skeleton = Skeleton(tuple(names), tuple(parents), torch.stack(offsets))
-    assert_same(retarget(replace(motion, skeleton=skeleton, rot=torch.stack(rot, dim=1))), motion)
 
 
 WALKS = (  # a walk or run of every source that has one

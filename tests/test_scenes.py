@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from data_synth import corpus, scenes
+from motionlab.metrics import gait
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, project
 
@@ -17,17 +18,6 @@ KNEES, HIPS = (["left_knee", "right_knee"], ["left_hip", "right_hip"])
 @pytest.fixture(scope="module")
 def shot():
     return cache(lambda case, count=3: scenes.film(case, count))
-
-
-def flexion(motion):
-    """Tilt of the thighs and flexion of the knees (B, T), degrees, mean of both legs."""
-    p = motion.positions
-    hip, knee, ankle = (
-        p[..., motion.skeleton.indices([f"{s}_{n}" for s in ("left", "right")]), :] for n in ("hip", "knee", "ankle")
-    )
-    thigh, shin = (torch.nn.functional.normalize(x, dim=-1) for x in (knee - hip, ankle - knee))
-    tilt, bend = (-thigh[..., 2]).clamp(-1, 1).arccos(), (thigh * shin).sum(-1).clamp(-1, 1).arccos()
-    return torch.rad2deg(tilt).mean(-1), torch.rad2deg(bend).mean(-1)
 
 
 @pytest.mark.parametrize("case", scenes.CASES)
@@ -63,7 +53,7 @@ def test_sitting_hides_the_legs_from_the_first_frame_and_ends_on_the_seat(shot):
     assert not scene.observation.visible[..., LEGS].any()
     assert not scene.seen[..., scene.truth.skeleton.indices(KNEES)].any()
     assert scene.observation.visible[..., BODY_25.index("neck")].all()
-    tilt, bend = flexion(scene.truth)
+    tilt, bend = (angle.mean(-1) for angle in gait.tilt_and_bend(scene.truth))
     assert (tilt[:, -10:] > 60).all() and (bend[:, -10:] > 60).all()
     assert (tilt[:, :3] < 30).all()
 

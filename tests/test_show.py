@@ -88,12 +88,9 @@ def test_a_long_motion_plays_faster_and_that_is_said(desk, capsys):
 def test_key_poses_are_a_row_for_each_file_also_of_one_name(desk):
     Path("b").mkdir()
     shutil.copy("walk.bvh", "b")
-    assert (
-        main(["show", "walk.bvh", "--out", "one.png"])
-        == main(["show", "walk.bvh", "b/walk.bvh", "--out", "2.png"])
-        == 0
-    )
-    one, two = (np.asarray(Image.open(name)) for name in ("one.png", "2.png"))
+    for out, *files in (("1.png", "walk.bvh"), ("2.png", "walk.bvh", "b/walk.bvh")):
+        assert main(["show", *files, "--out", out]) == 0
+    one, two = (np.asarray(Image.open(name)) for name in ("1.png", "2.png"))
     assert two.shape[0] == 2 * one.shape[0] and one.shape[1:] == two.shape[1:]
     first, second, title = two[: len(one)], two[len(one) :], 36
     assert np.array_equal(first[title:], second[title:]) and one[title:].std() > 5

@@ -1,14 +1,12 @@
-import math
-
 import numpy as np
 import pytest
 import torch
 import twins
-from torch.autograd import gradcheck
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
 from motionlab.skeleton import FEET, STANDARD, UPRIGHT, Skeleton, fk
+from tests.figures import standing
 
 F64 = torch.float64
 
@@ -35,31 +33,6 @@ def test_fk_agrees_with_its_scalar_twin(seed):
         np.testing.assert_allclose(orientations[i, t], r, atol=1e-13)
 
 
-def test_fk_of_two_bones_by_hand():
-    arm = Skeleton(("a", "b", "c"), (-1, 0, 1), torch.tensor([[0.0, 0, 0], [2, 0, 0], [1, 0, 0]]))
-    bend = rotation.rotation_about("z", torch.tensor([0.0, math.pi / 2, 0.3]))
-    positions, _ = fk(arm, torch.tensor([0.0, 0, 5]), bend)
-    torch.testing.assert_close(positions, torch.tensor([[0.0, 0, 5], [2, 0, 5], [2, 1, 5]]))
-
-
-def test_fk_turns_with_its_root_and_keeps_bone_lengths(generator):
-    rot = rotation.random((4, 22), generator, dtype=F64)
-    root = torch.randn(4, 3, generator=generator, dtype=F64)
-    turn = rotation.random((), generator, dtype=F64)
-    positions, _ = fk(STANDARD, root, rot)
-    turned, _ = fk(STANDARD, root @ turn.mT, torch.cat((turn @ rot[:, :1], rot[:, 1:]), 1))
-    torch.testing.assert_close(turned, positions @ turn.mT)
-    bones = positions[:, 1:] - positions[:, list(STANDARD.parents[1:])]
-    torch.testing.assert_close(bones.norm(dim=-1), STANDARD.offsets[1:].double().norm(dim=-1).expand(4, -1))
-
-
-def test_fk_gradient(generator):
-    tree = random_tree(3)
-    rot = rotation.random((2, len(tree)), generator, dtype=F64).requires_grad_()
-    root = torch.randn(2, 3, generator=generator, dtype=F64).requires_grad_()
-    assert gradcheck(lambda p, r: fk(tree, p, r), (root, rot))
-
-
 def test_fk_of_one_body_per_clip_and_of_one_root_for_all(generator):
     scale = torch.tensor([1.0, 1.3])[:, None, None, None]
     bodies = Skeleton(STANDARD.names, STANDARD.parents, STANDARD.offsets * scale)
@@ -72,10 +45,7 @@ def test_fk_of_one_body_per_clip_and_of_one_root_for_all(generator):
 
 
 def test_the_standard_stands_on_the_floor_facing_y():
-    rot = torch.eye(3).repeat(22, 1, 1)
-    rot[0] = UPRIGHT
-    root = torch.tensor([0.0, 0.0, float(STANDARD.standing_height())])
-    joints = dict(zip(STANDARD.names, fk(STANDARD, root, rot)[0], strict=True))
+    joints = dict(zip(STANDARD.names, standing(1).positions[0], strict=True))
     assert joints["left_foot"][2] == pytest.approx(STANDARD.sole, abs=1e-6)
     assert joints["head"][2] > joints["pelvis"][2] > joints["left_knee"][2] > joints["left_ankle"][2] > 0.05
     assert joints["left_wrist"][0] < -0.5 < 0.5 < joints["right_wrist"][0]  # facing +y, left is -x

@@ -8,6 +8,7 @@ import sys
 import time
 from copy import deepcopy
 from dataclasses import dataclass
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -116,11 +117,7 @@ def test_a_killed_process_leaves_a_run_that_can_go_on(tmp_path):
 
 @pytest.mark.parametrize("where", ["_draw", "_loss", "judge"])
 def test_ctrl_c_keeps_what_was_reached(whole, tmp_path, where):
-    run = Fit(Recipe(), Data()).run(until=3)
-
-    def stop(*args):
-        raise KeyboardInterrupt
-
+    run, stop = Fit(Recipe(), Data()).run(until=3), Mock(side_effect=KeyboardInterrupt)
     how = {where: stop, "judge_every": 4} if where == "judge" else {}
     if not how:
         true = getattr(run, where)

@@ -93,8 +93,5 @@ def test_a_picture_becomes_the_camera_s(body):
 def test_a_film_has_the_shape_of_its_footage_also_a_portrait(shape):
     for area in (640 * 480, 320 * 240):
         wide, high = _film_size(Camera(torch.eye(3), torch.eye(3), torch.zeros(3), *shape), area)
-        assert (
-            wide % 2 == high % 2 == 0
-            and abs(wide * shape[1] / shape[0] - high) <= 1
-            and abs(wide * high / area - 1) < 0.06
-        )
+        assert wide % 2 == high % 2 == 0 and abs(wide * high / area - 1) < 0.06
+        assert abs(wide * shape[1] / shape[0] - high) <= 1
