@@ -96,7 +96,7 @@ def test_elsewhere_a_person_is_a_folder_or_the_beginning_of_a_name(file, person)
 
 
 def test_collections_that_nobody_knows_are_split_by_a_hash_that_stays():
-    """sha256 of "mine/ann", as a number, leaves 5 when divided by 10: train; that of "mine/carla" 0: choose."""
+    """sha256 of "mine/ann", as a number, leaves 5 when divided by 10: train; that of "mine/carla" 0: val."""
     known = {"ann": "train", "bob": "train", "carla": "val", "dora": "test", "emil": "test", "gus": "val"}
     assert {name: subjects.part_of(f"mine/{name}") for name in known} == known
     shares = Counter(subjects.part_of(f"mine/{i}") for i in range(1000))
