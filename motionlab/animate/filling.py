@@ -12,7 +12,6 @@ Source: thesis 4.2.1 (in-betweening, occluded legs), 4.4.1 (seams); inertialisat
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -23,11 +22,9 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.animate.corrections import Fill, KeyMask, Rig, by_windows, restore_keys
-from motionlab.body import BodyModel
 from motionlab.diffusion import completer
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion, runs
-from motionlab.retarget import retarget
 from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD
 
@@ -279,39 +276,8 @@ def _fading(since: Tensor, width: Tensor, fade: float) -> Tensor:
 
 
 # ------------------------------------------------------------------------------------------------------ widget
-def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | str | None = "anny", **guided: str):
-    """Builds the widget of ``inbetween`` for a file: see ``viz.keyframes.keyframe_editor``.
+def editor(path: str | Path, backend: str | None = None, **how):
+    """Builds the widget of :func:`inbetween` for a file; see ``keyframes.editor``."""
+    from motionlab.animate import keyframes  # it draws: imported by who opens it
 
-    body: whose skin is shown; None, or joints that are not known: a figure. guided: unit, up of a BVH.
-
-    Raises:
-        DataError: not a readable motion.
-    """
-    from motionlab import io
-    from motionlab.animate.keyframes import keyframe_editor
-    from motionlab.animate.rewriting import write_back
-
-    path = Path(path).resolve()
-    motion = io.load(path, **guided)
-
-    def read(keys: str) -> set[int]:
-        return frames_named(keys, motion.frames, "frames kept")
-
-    def fill(frames: set[int], joints: list[str], method: str) -> tuple[Motion, tuple[str, ...]]:
-        found = inbetween(motion, key_mask(motion, frames, joints), method=method or None)
-        return found.motion, found.notes
-
-    def export(made: Motion, name: str) -> str:
-        target = Path(name).resolve()
-        return f"{target} is written: {write_back(path, target, motion, made)}"
-
-    def dress(made: Motion) -> Motion:
-        shown = retarget(made, floor=False).motion
-        return replace(shown, root=shown.root + torch.tensor([0.0, 0.0, lift]))
-
-    how = {"methods": METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
-    if body:
-        with contextlib.suppress(DataError):
-            lift = retarget(motion).floor
-            how |= {"body": BodyModel.from_anny() if isinstance(body, str) else body, "dress": dress}
-    return keyframe_editor(motion, read, fill, export, joints=(*GROUPS, *motion.skeleton.names), **how)
+    return keyframes.editor(path, backend, **how)

@@ -32,10 +32,8 @@ def as_camera(picture: np.ndarray, camera: Camera, size: tuple[int, int]) -> np.
     """
     high, wide = picture.shape[:2]
     if abs(wide * camera.height - high * camera.width) > max(camera.width, camera.height):
-        whole = np.zeros((camera.height, camera.width, 3), np.uint8)
-        high, wide = min(camera.height, high), min(camera.width, wide)
-        whole[:high, :wide] = picture[:high, :wide]
-        picture = whole
+        inside, picture = picture[: camera.height, : camera.width], np.zeros((camera.height, camera.width, 3), np.uint8)
+        picture[: inside.shape[0], : inside.shape[1]] = inside
     return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
 
 
@@ -132,10 +130,10 @@ def over_footage(
     paper = np.asarray(Image.new("RGB", size, PAPER))
     below = (as_camera(p, camera, size) for p in pictures) if pictures is not None else (paper for _ in frames)
     how = {"roles": roles, "shown": shown, "fine": False}
-    right = camera.rotation[0]
+    azimuth = float(torch.rad2deg(torch.atan2(camera.rotation[0, 1], camera.rotation[0, 0])))
     wide = max(320, 2 * round(0.4 * size[1]))
     much = [_usual((each.confidence > 0).sum(-1)) for each in seen] or [1.0] * len(motions)
-    with Scene((wide, size[1]), azimuth=_degrees(right), panels=("from the camera's right",)) as side:
+    with Scene((wide, size[1]), azimuth=azimuth, panels=("from the camera's right",)) as side:
         _edges(side, fine=False)
         side.floor()
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
@@ -145,8 +143,7 @@ def over_footage(
         with imageio.get_writer(path, fps=fps, macro_block_size=2, quality=6) as film:
             drawn = bodies_over(motions, camera, below, frames, size, body, **how)
             name = progress if isinstance(progress, str) else None
-            bar = tqdm(drawn, name, count, leave=False, disable=not progress)
-            for frame, front in enumerate(bar):
+            for frame, front in enumerate(tqdm(drawn, name, count, leave=False, disable=not progress)):
                 for person, role in zip(seen, roles, strict=False):
                     front = _dotted(front, person, frame, size[0] / camera.width, role)
                 for k, (places, hidden) in (ghosts or {}).items():
@@ -164,19 +161,15 @@ def _ghostly(picture: np.ndarray, places: Tensor, hidden: Tensor, scale: float, 
     image = Image.fromarray(picture)
     pen, tone = ImageDraw.Draw(image, "RGBA"), tuple(round(255 * c) for c in blend(colour(role), INK, 0.3))
     for joint in hidden.nonzero()[:, 0].tolist():
-        for a, b in zip(places[:, STANDARD.parents[joint]] * scale, places[:, joint] * scale, strict=True):
-            if bool(torch.isfinite(a).all() and torch.isfinite(b).all()):
-                pen.line([tuple(a.tolist()), tuple(b.tolist())], fill=(*tone, 90), width=2)
+        for bone in (places[:, [STANDARD.parents[joint], joint]] * scale).flatten(1):
+            if bone.isfinite().all():
+                pen.line(bone.tolist(), fill=(*tone, 90), width=2)
     return np.asarray(image)
 
 
 def _usual(points: Tensor) -> float:
     """Points (T) of which as many are seen in a frame that shows any."""
     return float(points[points > 0].float().median()) if (points > 0).any() else 0.0
-
-
-def _degrees(direction: Tensor) -> float:
-    return float(torch.rad2deg(torch.atan2(direction[1], direction[0])))
 
 
 def _dotted(picture: np.ndarray, seen: Observation2D, frame: int, scale: float, role: str | tuple) -> np.ndarray:

@@ -47,9 +47,8 @@ _FINE = 2  # drawn twice as large and reduced: smooth edges
 
 def drawn(times: np.ndarray) -> np.ndarray:
     """Returns the times (N,) at which a film's pictures are drawn: all, or for a draft a few, both ends among them."""
-    if viz.draft and len(times) > _DRAFT:
-        return times[np.linspace(0, len(times) - 1, _DRAFT).round().astype(int)]
-    return times
+    count = min(len(times), _DRAFT) if viz.draft else len(times)
+    return times[np.linspace(0, len(times) - 1, count).round().astype(int)]
 
 
 def meshes(occluders: Sequence[object]) -> list[Mesh]:
@@ -78,10 +77,8 @@ class Film:
         if self.path.suffix == ".gif":
             return f'<img alt="{self.path.stem}" src="data:image/gif;base64,{data}">'
         still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}" if self.poster else ""
-        return (
-            f'<video controls loop autoplay muted playsinline style="max-width:100%" poster="{still}" '
-            f'src="data:video/mp4;base64,{data}"></video>'
-        )
+        look = f'controls loop autoplay muted playsinline style="max-width:100%" poster="{still}"'
+        return f'<video {look} src="data:video/mp4;base64,{data}"></video>'
 
 
 def write_film(
@@ -213,20 +210,16 @@ def film(
     scene.smooth(False)
     count = min(int(seconds / speed * fps + 1e-6) + 1, most)
     pace = max(speed, seconds * fps / most)
-    off = not (_watched() if progress is None else progress)
+    if progress is None:  # somebody sees a bar in a terminal, or in a notebook that is not run in a batch
+        progress = not os.environ.get("MOTIONLAB_BATCH") and ("ipykernel" in sys.modules or sys.stderr.isatty())
     with scene:
         clock = scene.caption()
         pictures = []
-        for now in tqdm(drawn(np.arange(count) * pace / fps), f"film {path.name}", leave=False, disable=off):
+        for now in tqdm(drawn(np.arange(count) * pace / fps), f"film {path.name}", leave=False, disable=not progress):
             clock(f"{now:.1f} s" + (f"  ({pace:.1f} x life)" if abs(pace - 1) > 0.05 else ""))
             pictures.append(np.asarray(Image.fromarray(scene.image(float(now))).reduce(fine)))
     frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / count)  # a draft keeps its length
     return Film(path, frames, rate, seconds, pace, size_on_disk, jpeg(pictures[len(pictures) // 2]))
-
-
-def _watched() -> bool:
-    """Whether somebody sees a bar: in a terminal, or in a notebook that is not run in a batch."""
-    return not os.environ.get("MOTIONLAB_BATCH") and ("ipykernel" in sys.modules or sys.stderr.isatty())
 
 
 def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
@@ -253,30 +246,22 @@ def strip(
     Travel is taken out; heights above the floor are kept, and who flies off leaves the picture. Several motions
     (label -> motion) are rows of ``size`` each, in colours as of :func:`film`; a ``ghost`` stands as far off as it is.
     """
-    if not isinstance(motions, Motion):
-        panels, roles = _cast(motions, roles)
-        if azimuth is None:
-            azimuth = _across(next(iter(panels.values())), size)
-        rows = [(label, motion, roles[label], None if motion is ghost else ghost) for label, motion in panels.items()]
-    else:
-        rows = [("", motions, role, ghost)]
-    return np.concatenate([_row(*row, n, body, size, azimuth) for row in rows])
-
-
-def _across(motion: Motion, size: tuple[int, int]) -> float:
-    return viewpoint.good_azimuth(mannequin.array(motion.root), viewpoint.left_of(motion), size[0] / size[1])
+    panels, roles = _cast(motions, {"": role} if isinstance(motions, Motion) else roles)
+    if azimuth is None:
+        first = single(next(iter(panels.values())))
+        azimuth = viewpoint.good_azimuth(mannequin.array(first.root), viewpoint.left_of(first), size[0] / size[1])
+    each = ((label, x, roles[label], None if x is ghost else ghost) for label, x in panels.items())
+    return np.concatenate([_row(*row, n, body, size, azimuth) for row in each])
 
 
 def _row(label, motion, role, ghost, n, body, size, azimuth) -> np.ndarray:
     frames = np.linspace(0, single(motion).frames - 1, n).round().astype(int)
-    azimuth = _across(motion, size) if azimuth is None else azimuth
     turn = np.radians(azimuth)
     towards, right = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
     with Scene(size, panels=(label,), azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:
         reach = mannequin.array(motion.positions[frames]) - mannequin.array(motion.root[frames])[:, None]
         side = reach @ right
-        gap = 0.25
-        step = np.concatenate(([0.0], np.cumsum(side.max(1)[:-1] - side.min(1)[1:] + gap)))
+        step = np.concatenate(([0.0], np.cumsum(side.max(1)[:-1] - side.min(1)[1:] + 0.25)))
         height = mannequin.array(motion.root[frames, 2])
         for place, frame, near in zip(step, frames, height < height.min() + 1.5, strict=True):
             home = torch.tensor(place * right - [*mannequin.array(motion.root[frame, :2]), 0.0]).to(motion.root)
