@@ -144,10 +144,8 @@ def run_clip(
     if height is not None and len(ids) > 1:
         raise DataError(f"{len(ids)} people and one height", place="height", remedy="fit one at a time: --person ID")
     _check_free(out, _stems(ids))
-    priors = pretrained.load_priors(
-        motion=prior, pose=pose_prior, initial=initial, pelvis=None if pelvis is None else tuple(pelvis)
-    )
-    windows = out / "windows"
+    pelvis, windows = None if pelvis is None else tuple(pelvis), out / "windows"
+    priors = pretrained.load_priors(motion=prior, pose=pose_prior, initial=initial, pelvis=pelvis)
     begins("is the camera still?", progress)
     drift = None if clip.video is None else clip.drift()  # before the fit, which it must not lose
     given = (clip.camera, clip.placed, clip.size)
@@ -168,7 +166,7 @@ def run_clip(
         _report(out, record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}, began)
         record["finished"] = not fitted.stopped
         try:
-            poster = _film(part / "overlay.mp4", clip, fitted, body, others, quick=quick, progress=progress).poster
+            poster = _film(part / "overlay.mp4", clip, fitted, body, others, quick, progress).poster
             (part / "overlay.mp4").replace(out / "overlay.mp4")
             record["files"].insert(-1, "overlay.mp4")
         except KeyboardInterrupt:
@@ -206,12 +204,7 @@ def _of_earlier(out: Path) -> list[str]:
 
 
 def _write(
-    folder: Path,
-    ids: Sequence[int],
-    fitted: SceneFit,
-    draws: dict[int, Draws],
-    record: dict[str, object],
-    body: BodyModel,
+    folder: Path, ids: Sequence[int], fitted: SceneFit, draws: dict[int, Draws], record: dict, body: BodyModel
 ) -> list[str]:
     """Writes all but film and report; adds to the record what concerns the files; returns their names."""
     files = []
@@ -245,14 +238,7 @@ def _report(out: Path, record: dict[str, object], began: float, poster: bytes = 
 
 
 def _film(
-    path: Path,
-    clip: Clip,
-    fitted: SceneFit,
-    body: BodyModel,
-    draws: dict[int, Draws],
-    *,
-    quick: bool,
-    progress: str | bool,
+    path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, draws: dict[int, Draws], quick: bool, bars: str | bool
 ) -> film.Film:
     count, rate, fps = clip.count, clip.rate, fitted.seen.fps
     at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
@@ -267,11 +253,10 @@ def _film(
     ]
     pictures = None if clip.video is None else clip.pictures(range(count))
     roles = [scene_report.PEOPLE[k % len(scene_report.PEOPLE)] for k in range(len(motions))]
-    how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen, "progress": begins("film", progress)}
+    how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen, "progress": begins("film", bars)}
     how |= {"area": _SMALL} if quick else {}
-    how["ghosts"] = {
-        k: (project(fitted.camera, each.motions.positions[:, at])[0], each.hidden[at]) for k, each in draws.items()
-    }
+    places = {k: project(fitted.camera, each.motions.positions[:, at])[0] for k, each in draws.items()}
+    how["ghosts"] = {k: (places[k], each.hidden[at]) for k, each in draws.items()}
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
@@ -284,9 +269,9 @@ def _record(
     pixels = torch.stack([project(camera, landmarks_of(motion))[0] for motion in fitted.motions])
     away, weight = pixel_distances(pixels, fitted.seen)
     people = [scene_report.person_row(k, each, fitted, away[k], weight[k]) for k, each in enumerate(ids)]
-    known = np.array([]) if drift is None else drift[1:][np.isfinite(drift[1:])]
-    worst = float(known.max()) if len(known) else None
-    cuts = [] if drift is None else [clip.samples[k] / clip.rate for k in np.flatnonzero(np.isinf(drift))]
+    drift = np.zeros(0) if drift is None else drift
+    worst = max((float(off) for off in drift[1:] if np.isfinite(off)), default=None)
+    cuts = [clip.samples[k] / clip.rate for k in np.flatnonzero(np.isinf(drift))]
     left_out = [track.id for track in read.tracks if track.id not in ids]
     given = clip.camera is not None
     if clip.placed and height is None:

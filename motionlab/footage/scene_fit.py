@@ -139,9 +139,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     whole = frames <= MAX_FRAMES or config.solver == "rollout"  # which cuts windows of its own
     starts = (0,) if whole else window_starts(frames, WINDOW, OVERLAP)
     length = frames if whole else WINDOW
-    camera, floor, notes = config.camera, "camera" if config.placed else "guess", []
-    if config.camera is None:
-        floor = None
+    camera, notes = config.camera, []
+    floor = None if camera is None else "camera" if config.placed else "guess"
     if not config.placed and (people > 1 or len(starts) > 1):
         camera, notes = _common_camera(seen, enough, config)
         floor = "camera"
@@ -164,7 +163,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
                     raise KeyboardInterrupt
                 found = _arrays(fitted)
                 if config.draws and not many and not stopped:
-                    draws += _drawn(fitted, config.draws)
+                    random = {"generator": torch.Generator().manual_seed(0)}
+                    draws += [posterior.sample(fitted, config.draws, clip=k, **random) for k in range(len(some))]
                 if floor in (None, "guess"):  # one person, one window
                     camera = fitted.cameras[0]
                 if file is not None:
@@ -176,11 +176,9 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
                     energy.setdefault(name, [0.0] * people)[person] += value
             for row, person in enumerate(some):
                 pieces[person].append({"start": start} | {key: found[key][row] for key in _KEYS})
-    camera = camera if camera is not None else config.camera
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
     latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
-    near = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)
-    shown = near[:, 0] > 0
+    shown = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)[:, 0] > 0
     if not config.placed:
         motions, camera, lift = _on_the_floor(motions, shown, camera)
         up = torch.tensor([0.0, 0.0, lift])
@@ -193,12 +191,6 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
         tuple(motions), shown, seen, camera, latent_chi2, energy, len(starts), tuple(reasons),
         tuple(dict.fromkeys(notes)), stopped, tuple(draws),
     )  # fmt: skip
-
-
-def _drawn(fitted: testops.Fitted, count: int) -> list[Draws]:
-    """Other motions of each person of a fit."""
-    generator = torch.Generator().manual_seed(0)
-    return [posterior.sample(fitted, count, generator=generator, clip=k) for k in range(len(fitted.betas))]
 
 
 def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> SceneFit:
@@ -233,10 +225,9 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
     if fitted.stopped:
         raise KeyboardInterrupt
     weight = part.confidence[..., USED].sum((1, 2)) / (1 + fitted.diagnostics.misfit.nan_to_num(1e6))
-    weight = weight / weight.sum()
-    turn = sum(w * c.rotation for w, c in zip(weight, fitted.cameras, strict=True))
-    centre = sum(w * c.centre for w, c in zip(weight, fitted.cameras, strict=True))
-    turn = rotation.nearest(turn)
+    weighed = list(zip(weight / weight.sum(), fitted.cameras, strict=True))
+    turn = rotation.nearest(sum(w * c.rotation for w, c in weighed))
+    centre = sum(w * c.centre for w, c in weighed)
     camera = replace(fitted.cameras[0], rotation=turn, translation=-turn @ centre)
     return camera, [note for note in fitted.notes if "camera assumed" in note]
 

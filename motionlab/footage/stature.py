@@ -31,8 +31,7 @@ def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
     """
     heights = torch.full((len(BODY_25),), torch.nan)
     for name, height in _FEET.items():
-        for side in ("left", "right"):
-            heights[BODY_25.index(f"{side}_{name}")] = height
+        heights[[BODY_25.index(f"{side}_{name}") for side in ("left", "right")]] = height
     points = torch.where(seen.confidence[..., None] > 0, seen.keypoints, torch.nan).double()
     k = camera.intrinsics.double()
     plane = (points - k[:2, 2]) / k[[0, 1], [0, 1]]
