@@ -59,16 +59,9 @@ def weight_report(body: BodyModel, threshold: float = SMALL) -> WeightReport:
     present = body.weights > 0
     small = present & (body.weights < threshold)
     edges = torch.logspace(-6, 0, 25, dtype=torch.float64)
-    values = body.weights[present].double().clamp(1e-6, 1)
-    return WeightReport(
-        threshold,
-        present.numel(),
-        int(present.sum()),
-        int(small.sum()),
-        float(small.any(1).double().mean()),
-        edges,
-        torch.as_tensor(np.histogram(values.numpy(), edges.numpy())[0]),
-    )
+    counts = np.histogram(body.weights[present].double().clamp(1e-6, 1).numpy(), edges.numpy())[0]
+    numbers = present.numel(), int(present.sum()), int(small.sum()), float(small.any(1).double().mean())
+    return WeightReport(threshold, *numbers, edges, torch.as_tensor(counts))
 
 
 def surface_distance(body: BodyModel) -> Tensor:
@@ -81,14 +74,10 @@ def surface_distance(body: BodyModel) -> Tensor:
     graph = _edges(body)
     strongest = body.weights.argmax(1)
     columns = []
-    for joint in range(len(body.skeleton)):
-        region = (strongest == joint).nonzero()[:, 0]
-        if len(region) == 0:
-            region = body.weights[:, joint].argmax()[None]
+    for joint, weights in enumerate(body.weights.T):
+        region = (strongest == joint).nonzero()[:, 0] if (strongest == joint).any() else weights.argmax()[None]
         reached = dijkstra(graph, directed=False, indices=region.numpy(), min_only=True)
-        columns.append(
-            torch.from_numpy(reached if (body.weights[:, joint] > 0).any() else np.full_like(reached, np.inf))
-        )
+        columns.append(torch.from_numpy(reached if (weights > 0).any() else np.full_like(reached, np.inf)))
     return torch.stack(columns, dim=1)
 
 
@@ -150,20 +139,12 @@ def long_range(body: BodyModel, mask: Tensor, distance: Tensor | None = None) ->
     holder: the joint with the largest weight on that vertex. bones: from it to the spurious joint, along the tree.
     """
     distance = surface_distance(body) if distance is None else distance
-    names, bones = body.skeleton.names, tree_distance(body.skeleton)
-    holders = body.weights.argmax(1)
-    entries = mask.nonzero()[distance[mask].argsort(descending=True)].tolist()
-    return [
-        {
-            "vertex": vertex,
-            "holder": names[holders[vertex]],
-            "joint": names[joint],
-            "weight": float(body.weights[vertex, joint]),
-            "metres": float(distance[vertex, joint]),
-            "bones": int(bones[holders[vertex], joint]),
-        }
-        for vertex, joint in entries
-    ]
+    names, bones, found = body.skeleton.names, tree_distance(body.skeleton), []
+    for vertex, joint in mask.nonzero()[distance[mask].argsort(descending=True)].tolist():
+        holder, weight = int(body.weights[vertex].argmax()), float(body.weights[vertex, joint])
+        row = {"vertex": vertex, "holder": names[holder], "joint": names[joint], "weight": weight}
+        found.append(row | {"metres": float(distance[vertex, joint]), "bones": int(bones[holder, joint])})
+    return found
 
 
 def detection_scores(found: Tensor, truth: Tensor) -> tuple[float, float]:

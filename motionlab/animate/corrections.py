@@ -92,8 +92,7 @@ class Rig:
         joints = replace(found.motion, root=found.motion.root + up, contacts=None, notes=())
         mapped = {STANDARD.index(name): own for name, own in body.joints.items()}
         known = torch.zeros(motion.frames, len(STANDARD) + 2, dtype=torch.bool)
-        for j, own in mapped.items():
-            known[:, j] = keep.rot[:, own]
+        known[:, list(mapped)] = keep.rot[:, list(mapped.values())]
         known[:, -2], known[:, -1] = keep.rot[:, 0], keep.frames
         return cls(motion, drawn, keep, joints, found, lift, mapped, known)
 
@@ -171,17 +170,13 @@ class Rig:
 
     def _feet_locked(self, made: Motion) -> Motion:
         """Feet that stand stay in place, between frames whose legs are known; between kept frames they step."""
-        labelled = made if made.contacts is not None else with_contacts(made)
-        known = self.known[:, _LEGS].all(-1)
-        contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
+        known, found = self.known[:, [0, *STANDARD.indices(LEGS), len(STANDARD)]].all(-1), with_contacts(made).contacts
+        contacts = found if made.contacts is None else torch.where(known[:, None], found, made.contacts)
         some, step = replace(made, contacts=contacts).clip(None), bool(self.keep.frames.any())
         return replace(made, rot=lock_feet(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
 
 
-_LEGS = [
-    0, *(STANDARD.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee", "ankle")),
-    len(STANDARD),
-]  # fmt: skip
+LEGS = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
 
 
 def _hips(motion: Motion) -> Tensor:

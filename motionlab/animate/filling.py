@@ -3,9 +3,8 @@
     keep = key_mask(motion, frames={0, 45, 90})
     made = inbetween(motion, keep)            # made.motion, made.notes
 
-What is kept stays bit for bit. The rest is first drawn by curves on the motion's own joints; a network then corrects
-them on the 22 standard joints, at its own rate and in its own windows, and feet that stand are planted. Only the turn
-by which a standard joint is corrected goes back to the joint that it stands for: no pose is retargeted there and back.
+What is not kept is first drawn by curves on the motion's own joints; a network then corrects them (``corrections``),
+and feet that stand are planted.
 
 Source: thesis 4.2.1 (in-betweening, occluded legs), 4.4.1 (seams); inertialisation (Bollo 2018) for the curves.
 """

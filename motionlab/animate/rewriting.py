@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
@@ -299,11 +298,8 @@ def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarr
         struct.pack_into(f"<{width}f", data, first + int(t) * view.get("byteStride", 4 * width), *old[t])
 
 
-WRITERS: dict[str, Callable[[Path, Motion], None]] = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save,
-                                                    ".npy": humanml.save}  # fmt: skip
-REWRITERS: dict[str, Callable[[Location, Motion, Motion], bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
-
-
+WRITERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save, ".npy": humanml.save}
+REWRITERS = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
 #: What is said of a file that is written anew.
 _ANEW = {
     ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",

@@ -23,46 +23,46 @@ if TYPE_CHECKING:
 _METHODS = ("network", "curves")
 _IN = f"a motion ({READ}), or a folder: of it all {' '.join(WRITTEN)}"
 _OUT = f"a file ({' '.join(WRITTEN)}; the format of IN keeps the file's own numbers), or for a folder another folder"
+_DRAW = "draw one of the motions that are possible, by the network; none: its one answer, closest on average"
 
 
 def add_commands(commands: argparse._SubParsersAction) -> None:
     """Adds the commands; nothing heavy is imported before one runs."""
+    add = partial(_command, commands)
     example = "walk.bvh --keys 0,30,60,90,120-last --out between.bvh --film between.mp4"
-    text = "keep the frames you name, make those between them"
-    command = _command(commands, "inbetween", text, example, _inbetween, _DRAW)
+    command = add("inbetween", "keep the frames you name, make those between them", example, _inbetween, _DRAW)
     command.add_argument("--keys", required=True, help="frames that stay, from 0: 0,45,90 or 0-20,60-last")
     command.add_argument("--joints", type=_words, default=[], help="joints that stay in all frames, as left_wrist,arms")
     command.add_argument("--method", choices=_METHODS, help="default: what is measured best for the longest gap")
 
-    example = "walk.bvh --out repaired.bvh"
-    command = _command(commands, "repair", "take noise and jumps out of a motion", example, _repair)
+    command = add("repair", "take noise and jumps out of a motion", "walk.bvh --out repaired.bvh", _repair)
     text = "of joints and root (default: auto, as measured)"
     command.add_argument("--noise", type=_noise, metavar="auto|DEGREES[,MM]", help=text)
     command.add_argument("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
     command.add_argument("--drift", action="store_true", help="the path goes by the feet: of a walk seen on a video")
 
     example = "walk.bvh --hidden legs --out completed.bvh"
-    command = _command(commands, "complete", "make joints that are missing or wrong", example, _complete, _DRAW)
+    command = add("complete", "make joints that are missing or wrong", example, _complete, _DRAW)
     which = command.add_mutually_exclusive_group(required=True)
     which.add_argument("--hidden", type=_words, help="joints to make: legs, left_arm, right_knee, ...; others stay")
     which.add_argument("--known", type=_words, help="joints whose places alone are known: left_wrist,head, ...")
 
-    _command(commands, "plant", "hold feet that stand in place", "walk.bvh --out planted.bvh", _plant, plants=False)
+    add("plant", "hold feet that stand in place", "walk.bvh --out planted.bvh", _plant, plants=False)
 
-    text, example = "make a motion a loop, or let it go nowhere", "walk.bvh --loop --cut 1.467 2.567 --out loop.bvh"
-    command = _command(commands, "cycle", text, example, _cycle)
+    example = "walk.bvh --loop --cut 1.467 2.567 --out loop.bvh"
+    command = add("cycle", "make a motion a loop, or let it go nowhere", example, _cycle)
     command.add_argument("--loop", action="store_true", help="its last frame is its first again; best cut to one round")
     command.add_argument("--in-place", action="store_true", help="the root stays above one point of the floor")
     add_cut(command)
     command.add_argument("--blend", type=float, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
 
     text, example = "put the movement of a motion on the rig of another", "walk.bvh --onto rig.bvh --out mine.bvh"
-    command = _command(commands, "retarget", text, example, None, plants=False)
+    command = add("retarget", text, example, None, plants=False)
     text = f"its bones, names and rest pose: {READ}"
     command.add_argument("--onto", type=Path, required=True, metavar="RIG", help=text)
     command.add_argument("--onto-names", type=Path, metavar="FILE.json", help="as --names, of RIG")
 
-    text, example = "make new motions, or what may follow on one", "generate --seconds 4 --count 2 --out made/"
+    text, example = "make new motions, or what may follow on one", "--seconds 4 --count 2 --out made/"
     command = add_command(commands, "generate", text, example, _generate)
     command.add_argument("--seconds", type=float, default=4.0, help="how long each is, or goes on (default 4)")
     command.add_argument("--count", type=int, default=1, help="how many, each from its own seed (default 1)")
@@ -73,19 +73,8 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     _usual(command, "of the first (default 0)")
 
 
-_DRAW = "draw one of the motions that are possible, by the network; none: its one answer, closest on average"
-
-
-def _command(
-    commands: argparse._SubParsersAction,
-    name: str,
-    text: str,
-    example: str,
-    make: Callable | None,
-    *seed: str,
-    plants: bool = True,
-) -> argparse.ArgumentParser:
-    command = add_command(commands, name, text, f"{name} {example}", _on_motions)
+def _command(commands, name: str, text: str, example: str, make: Callable | None, *seed: str, plants: bool = True):
+    command = add_command(commands, name, text, example, _on_motions)
     command.add_argument("source", metavar="IN", type=Path, help=_IN)
     command.add_argument("--out", type=Path, required=True, help=_OUT)
     add_film(command, "what was given beside what was made of it; not of a folder")
@@ -160,9 +149,8 @@ def _on_motions(options: argparse.Namespace) -> int:
 
 def _make(clip: Job, options: argparse.Namespace) -> list[str]:
     """Does it with one of many; says how."""
-    _, source, _, target = clip
     notes: list[str] = []
-    _made(source, target, options, notes.append)
+    _made(clip[1], clip[3], options, notes.append)
     return notes
 
 
@@ -225,8 +213,7 @@ def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Anima
         raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
     motion = cut(motion, options.source, options.cut)
     blend = looping.BLEND if options.blend is None else options.blend
-    how = {"loop": options.loop, "in_place": options.in_place, "blend": blend}
-    return looping.cycled(motion, **how, plant=options.plant)
+    return looping.cycled(motion, loop=options.loop, in_place=options.in_place, blend=blend, plant=options.plant)
 
 
 def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:

@@ -10,14 +10,13 @@ from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from tqdm import tqdm
 
 from motionlab.errors import DataError, MissingData, NotConverged, ShapeError
 from motionlab.parallel import run_jobs, threads_for
 
-J = TypeVar("J")
 #: How often a clip may lose its process while it is alone in it, until it is the one to blame.
 LIVES = 2
 #: Seconds that a cluster has to answer, and to have a worker.
@@ -33,7 +32,7 @@ class Failed:
 
 
 @dataclass(frozen=True)
-class Batch(Generic[J]):
+class Batch:
     """What became of the jobs, each by its place in the list: what the function returned, what had been finished
     before, and what failed."""
 
@@ -46,21 +45,18 @@ class Batch(Generic[J]):
         """Returns the report for a terminal: one line for all, and one for each clip that failed."""
         counts = {"done": self.results, "finished before": self.skipped, "failed": self.failed}
         said = ", ".join(f"{len(those)} {word}" for word, those in counts.items() if those or word == "done")
-        return [
-            f"{len(self.names)} clips: {said}",
-            *(f"{self.names[k]}: {self.failed[k].message}" for k in self.failed),
-        ]
+        return [f"{len(self.names)} clips: {said}", *(f"{self.names[k]}: {x.message}" for k, x in self.failed.items())]
 
 
 def run_many(
-    function: Callable[[J], Any],
-    jobs: Sequence[J],
+    function: Callable[[Any], Any],
+    jobs: Sequence[Any],
     *,
-    finished: Callable[[J], bool] | None = None,
+    finished: Callable[[Any], bool] | None = None,
     jobs_at_once: int = 1,
     cluster: str | None = None,
-    name: Callable[[J], str] = str,
-) -> Batch[J]:
+    name: Callable[[Any], str] = str,
+) -> Batch:
     """Runs a function on every job that is not finished yet, each on one thread; shows progress.
 
     A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
@@ -111,7 +107,7 @@ def run_many(
     return batch
 
 
-def _attempt(function: Callable[[J], Any], job: J) -> Any:
+def _attempt(function: Callable[[Any], Any], job: Any) -> Any:
     """What the function returns, or why it does not: errors themselves may not survive the way between processes."""
     try:
         with threads_for(1):
@@ -122,9 +118,7 @@ def _attempt(function: Callable[[J], Any], job: J) -> Any:
         return Failed(f"{type(error).__name__}: {error}", traceback.format_exc())
 
 
-def _on_processes(
-    work: dict[int, Callable[[], Any]], count: int, done: Callable[[int, Any], None], apart: bool
-) -> None:
+def _on_processes(work: dict[int, Callable], count: int, done: Callable[[int, Any], None], apart: bool) -> None:
     """Do all of it. Where a process is killed, its pool is lost: those that had begun go on in one process, where the
     first without a result is the one to blame."""
     left, killed = dict(work), Counter()

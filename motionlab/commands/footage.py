@@ -23,7 +23,7 @@ _PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior
 def add_fit(commands: argparse._SubParsersAction) -> None:
     """Adds the command; nothing heavy is imported before it runs."""
     text = "find the 3-D motion of the people in a video, from 2-D keypoints"
-    command = add_command(commands, "fit", text, "fit clip.mp4 --keypoints keypoints/ --out scene/", _fit)
+    command = add_command(commands, "fit", text, "clip.mp4 --keypoints keypoints/ --out scene/", _fit)
     command.add_argument("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
     command.add_argument(
         "--keypoints", type=Path, metavar="PATH",
@@ -132,10 +132,8 @@ def _fit_each(options: argparse.Namespace) -> int:
     if options.video is None and options.keypoints is None:
         remedy = "name a folder of videos, or --keypoints with a folder of what a detector wrote"
         raise DataError("no folder of clips", place="--each", remedy=remedy)
-    clips = [
-        (name, keypoints, video, options.out / name)
-        for name, (keypoints, video) in _clips_of(options.keypoints, options.video).items()
-    ]
+    found = _clips_of(options.keypoints, options.video)
+    clips = [(name, *paths, options.out / name) for name, paths in found.items()]
     how = {name: getattr(options, name) for name in _PASSED_ON}
     for name in ("camera", "prior", "pose_prior", "initial"):  # for workers that stand elsewhere
         how[name] = how[name] and how[name].resolve()

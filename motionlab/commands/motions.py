@@ -16,11 +16,7 @@ if TYPE_CHECKING:
 
 WRITTEN = (".bvh", ".npz", ".glb", ".npy")
 READ = f"{' '.join(WRITTEN)} .gltf .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM, PHALP"
-
-
-#: Options of ``add_reading`` -> of the loaders.
-_READING = {"unit": "unit", "up": "up", "axes": "axes", "fps_in": "fps", "translations": "translations", "asf": "asf",
-            "animation": "animation", "person": "person"}  # fmt: skip
+_READING = ("unit", "up", "axes", "fps_in", "translations", "asf", "animation", "person")
 
 
 def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
@@ -41,13 +37,17 @@ def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fp
 
 def reading(options: argparse.Namespace) -> dict[str, object]:
     """Returns what was given of ``add_reading``, as options of the loaders."""
-    return {key: value for name, key in _READING.items() if (value := getattr(options, name, None)) is not None}
+    given = {name.removesuffix("_in"): getattr(options, name, None) for name in _READING}
+    return {name: value for name, value in given.items() if value is not None}
 
 
-def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], None] | None = None) -> Motion:
+def say_note(note: str) -> None:
+    """Prints a note."""
+    print(f"note: {note}", flush=True)
+
+
+def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], None] = say_note) -> Motion:
     """Reads the motion that a command works on, and says what was guessed.
-
-    say: what to do with each note; None prints it.
 
     Raises:
         DataError: not a readable motion, or an option that is for another format.
@@ -58,29 +58,23 @@ def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], No
         raise DataError("this is a folder", path=path, remedy="name the files in it that you mean")
     motion = io.load(path, **reading(options))
     for note in motion.notes:
-        (say or say_note)(note)
+        say(note)
     return with_roles(motion, options)
 
 
 def with_roles(motion: Motion, options: argparse.Namespace) -> Motion:
-    """Takes over which joint is which, where ``--names`` says it."""
-    return replace(motion, skeleton=replace(motion.skeleton, roles=_roles(options.names))) if options.names else motion
-
-
-def _roles(path: Path) -> dict[str, str]:
-    """Reads which joint is which, as the refusal of an unknown skeleton prints it: blanks are left out."""
+    """Takes over which joint is which, where ``--names`` says it: as the refusal of an unknown skeleton prints it,
+    blanks left out."""
     from motionlab.io.reading import read_json, reading
 
-    with reading(path, 'write {"pelvis": "its name", ...}') as at:
+    if not options.names:
+        return motion
+    with reading(options.names, 'write {"pelvis": "its name", ...}') as at:
         found = read_json(at)
         if not isinstance(found, dict) or not all(isinstance(name, str) for name in found.values()):
             raise at.error("expected one object of names")
-    return {name: own for name, own in found.items() if own}
-
-
-def say_note(note: str) -> None:
-    """Prints a note."""
-    print(f"note: {note}", flush=True)
+    roles = {name: own for name, own in found.items() if own}
+    return replace(motion, skeleton=replace(motion.skeleton, roles=roles))
 
 
 def make_folder(path: Path) -> None:

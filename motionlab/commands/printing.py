@@ -10,11 +10,10 @@ from collections.abc import Callable, Sequence
 def add_command(
     commands: argparse._SubParsersAction, name: str, text: str, example: str, run: Callable | None = None
 ) -> argparse.ArgumentParser:
-    """Adds a command: what it does in a line, one example of it, and what runs it, options -> exit status."""
-    command = commands.add_parser(
-        name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"example:\n  motionlab {example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    """Adds a command: what it does in a line, the words of one example, and what runs it, options -> exit status."""
+    command = commands.add_parser(name, help=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    command.description = f"{text[0].upper()}{text[1:]}."
+    command.epilog = f"example:\n  motionlab {name} {example}".rstrip()
     command.set_defaults(run=run)
     return command
 

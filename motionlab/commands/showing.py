@@ -24,7 +24,7 @@ _PICTURES = 900  # of a film: 30 s at 30 a second; they are all in memory
 def add_show(commands: argparse._SubParsersAction) -> None:
     """Adds the command; nothing heavy is imported before it runs."""
     text = "draw motion files side by side: a film, or a picture of key poses"
-    command = add_command(commands, "show", text, "show walk.bvh --out walk.mp4", _show)
+    command = add_command(commands, "show", text, "walk.bvh --out walk.mp4", _show)
     command.add_argument("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {_MOST} of them")
     text = "a film (.mp4, .gif), or key poses (.png), a row a file"
     command.add_argument("--out", type=Path, required=True, metavar="FILE", help=text)
@@ -82,10 +82,18 @@ def _show(options: argparse.Namespace) -> int:
         for note in motion.notes[len(given) :]:
             told(note)
         motions[label] = cut(motion, path, options.cut)
-    if options.out.suffix == _PICTURE:
-        print(_draw_poses(motions, options.out, options.bones))
-    else:
+    if options.out.suffix != _PICTURE:
         print(draw_film(motions, options.out, bones=options.bones, follow=options.follow))
+        return 0
+    from PIL import Image
+
+    from motionlab.body import BodyModel
+    from motionlab.viz import movie
+
+    poses = min(8, *(motion.frames for motion in motions.values()))
+    body = None if options.bones else BodyModel.from_anny()
+    Image.fromarray(movie.strip(motions, poses, body=body)).save(options.out)
+    print(f"{options.out}: {poses} key poses")
     return 0
 
 
@@ -116,15 +124,3 @@ def _labels(files: list[Path]) -> list[str]:
     if twice:
         raise DataError("two panels would have this name", path=twice, remedy="name each file once, or rename one")
     return labels
-
-
-def _draw_poses(motions: Mapping[str, Motion], path: Path, bones: bool) -> str:
-    """Draws a row of eight key poses for each motion, under its label; says what was written."""
-    from PIL import Image
-
-    from motionlab.body import BodyModel
-    from motionlab.viz import movie
-
-    poses = min(8, *(motion.frames for motion in motions.values()))
-    Image.fromarray(movie.strip(motions, poses, body=None if bones else BodyModel.from_anny())).save(path)
-    return f"{path}: {poses} key poses"

@@ -164,7 +164,7 @@ def open_clip(
         read = keypoints.load(keypoints_path, fps=shown.fps, **how)
         first = _first(read, shown)
     notes += read.notes
-    size = read.size and (round(read.size[0]), round(read.size[1]))
+    size = read.size and tuple(map(round, read.size))
     if size is not None:
         read, more = read.within(size)
         notes += more

@@ -129,8 +129,7 @@ def slider(
     """
     backend = _checked(backend)
     if backend == "static":
-        several = {"": motions} if isinstance(motions, Motion) else motions
-        return strip(several, roles=roles, body=body, ghost=ghost, azimuth=azimuth)
+        return strip(motions, roles=roles, body=body, ghost=ghost, azimuth=azimuth)
     import ipywidgets
 
     panels = 1 if isinstance(motions, Motion) else len(motions)

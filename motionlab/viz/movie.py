@@ -246,7 +246,7 @@ def strip(
     Travel is taken out; heights above the floor are kept, and who flies off leaves the picture. Several motions
     (label -> motion) are rows of ``size`` each, in colours as of :func:`film`; a ``ghost`` stands as far off as it is.
     """
-    panels, roles = _cast(motions, {"": role} if isinstance(motions, Motion) else roles)
+    panels, roles = _cast(motions, {"": role} | dict(roles or {}))
     if azimuth is None:
         first = single(next(iter(panels.values())))
         azimuth = viewpoint.good_azimuth(mannequin.array(first.root), viewpoint.left_of(first), size[0] / size[1])
