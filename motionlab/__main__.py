@@ -62,11 +62,11 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     command.add_argument("--prepare", action="store_true", help="install rendering libraries if root, bake the body")
 
     command = add("data", "list the recordings in a folder: clips, minutes, frame rates, joints", "recordings/", _data)
-    command.add_argument("folder", nargs="?", help="or one file (default: $MOTIONLAB_DATA)")
-    command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
+    option = command.add_argument
+    option("folder", nargs="?", help="or one file (default: $MOTIONLAB_DATA)")
+    option("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
     add_reading(command, rate=("--fps-in",))
-    text = "say what the 22 standard joints lose of each rig in it"
-    command.add_argument("--certify", action="store_true", help=text)
+    option("--certify", action="store_true", help="say what the 22 standard joints lose of each rig in it")
 
     text = "make training motion of recordings; say what is cut out and why"
     command = add("prepare", text, "recordings/ --out prepared/", _prepare)

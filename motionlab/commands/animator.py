@@ -35,11 +35,10 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--joints", type=_words, default=[], help="joints that stay in all frames, as left_wrist,arms")
     command.add_argument("--method", choices=_METHODS, help="default: what is measured best for the longest gap")
 
-    command = add("repair", "take noise and jumps out of a motion", "walk.bvh --out repaired.bvh", _repair)
-    text = "of joints and root (default: auto, as measured)"
-    command.add_argument("--noise", type=_noise, metavar="auto|DEGREES[,MM]", help=text)
-    command.add_argument("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
-    command.add_argument("--drift", action="store_true", help="the path goes by the feet: of a walk seen on a video")
+    option = add("repair", "take noise and jumps out of a motion", "walk.bvh --out repaired.bvh", _repair).add_argument
+    option("--noise", type=_noise, metavar="auto|DEGREES[,MM]", help="of joints and root (default: auto, as measured)")
+    option("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
+    option("--drift", action="store_true", help="the path goes by the feet: of a walk seen on a video")
 
     example = "walk.bvh --hidden legs --out completed.bvh"
     command = add("complete", "make joints that are missing or wrong", example, _complete, _DRAW)
@@ -57,10 +56,9 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--blend", type=float, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
 
     text, example = "put the movement of a motion on the rig of another", "walk.bvh --onto rig.bvh --out mine.bvh"
-    command = add("retarget", text, example, None, plants=False)
-    text = f"its bones, names and rest pose: {READ}"
-    command.add_argument("--onto", type=Path, required=True, metavar="RIG", help=text)
-    command.add_argument("--onto-names", type=Path, metavar="FILE.json", help="as --names, of RIG")
+    option = add("retarget", text, example, None, plants=False).add_argument
+    option("--onto", type=Path, required=True, metavar="RIG", help=f"its bones, names and rest pose: {READ}")
+    option("--onto-names", type=Path, metavar="FILE.json", help="as --names, of RIG")
 
     text, example = "make new motions, or what may follow on one", "--seconds 4 --count 2 --out made/"
     command = add_command(commands, "generate", text, example, _generate)

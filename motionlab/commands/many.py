@@ -15,10 +15,8 @@ Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (
 def add_sharing(command: argparse.ArgumentParser, what: str) -> None:
     """Adds the options of a command that works on a folder of clips."""
     command.add_argument("--jobs", type=int, metavar="N", help=f"{what}: so many at once, a process each (default 1)")
-    command.add_argument(
-        "--cluster", metavar="tcp://HOST:PORT",
-        help=f"{what}: on the workers of this Dask scheduler, who share the folders (needs motionlab[cluster])",
-    )  # fmt: skip
+    text = f"{what}: on the workers of this Dask scheduler, who share the folders (needs motionlab[cluster])"
+    command.add_argument("--cluster", metavar="tcp://HOST:PORT", help=text)
 
 
 def run_clips(

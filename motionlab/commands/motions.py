@@ -21,18 +21,19 @@ _READING = ("unit", "up", "axes", "fps_in", "translations", "asf", "animation", 
 
 def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
     """Adds what a motion file does not say of itself, or says wrongly. rate: names of the frame rate's option."""
-    more = command.add_argument_group("what a file does not say, or says wrongly (default: worked out, and noted)")
-    more.add_argument("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
-    more.add_argument("--up", type=_up, metavar="AXIS", help="the file's axis that points up: y, z, ... (--up=-y)")
+    text = "what a file does not say, or says wrongly (default: worked out, and noted)"
+    option = command.add_argument_group(text).add_argument
+    option("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
+    option("--up", type=_up, metavar="AXIS", help="the file's axis that points up: y, z, ... (--up=-y)")
     text = "instead: the file's axes that become x, y and z, up; as --axes=x-zy"
-    more.add_argument("--axes", type=_axes, metavar="XYZ", help=text)
-    more.add_argument(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
+    option("--axes", type=_axes, metavar="XYZ", help=text)
+    option(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
     text = "of bones that change their length: refuse, or keep the mean"
-    more.add_argument("--translations", choices=("strict", "mean"), help=text)
-    more.add_argument("--asf", type=Path, metavar="FILE", help="the skeleton of an .amc (default: beside it)")
-    more.add_argument("--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own")
-    more.add_argument("--person", type=int, metavar="N", help="whom, of a file of several, from 0 (default: 0)")
-    more.add_argument("--animation", metavar="NAME", help="of a .glb: which, by name or number (default: the first)")
+    option("--translations", choices=("strict", "mean"), help=text)
+    option("--asf", type=Path, metavar="FILE", help="the skeleton of an .amc (default: beside it)")
+    option("--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own")
+    option("--person", type=int, metavar="N", help="whom, of a file of several, from 0 (default: 0)")
+    option("--animation", metavar="NAME", help="of a .glb: which, by name or number (default: the first)")
 
 
 def reading(options: argparse.Namespace) -> dict[str, object]:

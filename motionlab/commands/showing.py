@@ -25,11 +25,11 @@ def add_show(commands: argparse._SubParsersAction) -> None:
     """Adds the command; nothing heavy is imported before it runs."""
     text = "draw motion files side by side: a film, or a picture of key poses"
     command = add_command(commands, "show", text, "walk.bvh --out walk.mp4", _show)
-    command.add_argument("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {_MOST} of them")
-    text = "a film (.mp4, .gif), or key poses (.png), a row a file"
-    command.add_argument("--out", type=Path, required=True, metavar="FILE", help=text)
-    command.add_argument("--bones", action="store_true", help="a figure of the file's own joints, not a body")
-    command.add_argument("--follow", action="store_true", help="the view moves along with who walks")
+    option, text = command.add_argument, "a film (.mp4, .gif), or key poses (.png), a row a file"
+    option("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {_MOST} of them")
+    option("--out", type=Path, required=True, metavar="FILE", help=text)
+    option("--bones", action="store_true", help="a figure of the file's own joints, not a body")
+    option("--follow", action="store_true", help="the view moves along with who walks")
     add_cut(command, "of every file")
     add_reading(command)
 
