@@ -20,22 +20,19 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.animate.corrections import Fill, KeyMask, Rig, by_windows, restore_keys
+from motionlab.animate.corrections import LEGS, Fill, KeyMask, Rig, by_windows, restore_keys
 from motionlab.diffusion import completer
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion, runs
 from motionlab.rigs import find_joints
-from motionlab.skeleton import STANDARD
+from motionlab.skeleton import BALLS, STANDARD
 
 METHODS = ("network", "curves")
 NETWORK, DRAWS = "completer", "completer_draws"  # of one answer, and of draws
-GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_shoulder")} | {
-    f"{side}_{limb}": (f"{side}_{top}",)
-    for side in ("left", "right") for limb, top in (("leg", "hip"), ("arm", "shoulder"))
-}  # fmt: skip
-_LEGS = {f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle", "foot")}
+GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_shoulder")}
+GROUPS |= {f"{side}_{limb}": (f"{side}_{top}",) for side in ("left", "right")
+           for limb, top in (("leg", "hip"), ("arm", "shoulder"))}  # fmt: skip
 _FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of the root and of joints
-
 _MOST = 40  # frames of a window that a gap should take: a longer one is shown to the network faster than it is
 _MEASURED = 2.5  # seconds of the longest gaps that were measured, and a little
 
@@ -177,7 +174,7 @@ def completed(
     keep = KeyMask.of(motion, hidden=hide)
     body = Rig.of(motion, curves(motion, keep), keep)
     why = "how close these joints come to the true ones was not measured"
-    if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
+    if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in (*LEGS, *BALLS)}:
         why = "hidden legs came out 13 cm off on 15 people whom it had never seen"
     made = body.corrected(network(seed, body.missing_joints, progress))
     notes = (f"method: network; {why}", *_of_draw(seed), "the floor is taken to be at height 0", *body.notes(plant))

@@ -9,10 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionlab.commands import many
-from motionlab.commands.many import Job
 from motionlab.commands.motions import READ, WRITTEN, add_reading, make_folder, read_motion, say_note
-from motionlab.commands.printing import add_command, is_watched
+from motionlab.commands.printing import add_command, add_sharing, is_watched
 from motionlab.commands.showing import add_cut, add_film, check_film, cut, draw_film
 from motionlab.errors import DataError
 
@@ -76,7 +74,7 @@ def _command(commands, name: str, text: str, example: str, make: Callable | None
     command.add_argument("source", metavar="IN", type=Path, help=_IN)
     command.add_argument("--out", type=Path, required=True, help=_OUT)
     add_film(command, "what was given beside what was made of it; not of a folder")
-    many.add_sharing(command, "of a folder")
+    add_sharing(command, "of a folder")
     command.set_defaults(make=make)
     _usual(command, *seed, plants=plants)
     return command
@@ -127,6 +125,8 @@ def _on_motions(options: argparse.Namespace) -> int:
         if options.film:
             print(draw_film({"given": given, "made": made}, options.film))
         return 0
+    from motionlab.commands import batch
+
     if options.film:
         remedy = "leave out --film, and draw the ones you want: motionlab show IN OUT --out FILM.mp4"
         raise DataError("a film shows one motion, this is a folder", path=options.source, place="--film", remedy=remedy)
@@ -142,10 +142,10 @@ def _on_motions(options: argparse.Namespace) -> int:
     if len(found) < len(files):
         print(f"note: {len(files) - len(found)} of {len(files)} files were passed over: not {' '.join(WRITTEN)}")
     clips = [(path.name, path, None, options.out / path.name) for path in found]
-    return many.run_clips(partial(_make, options=options), clips, lambda clip: clip[3].exists(), options)
+    return batch.run_clips(partial(_make, options=options), clips, lambda clip: clip[3].exists(), options)
 
 
-def _make(clip: Job, options: argparse.Namespace) -> list[str]:
+def _make(clip: tuple, options: argparse.Namespace) -> list[str]:
     """Does it with one of many; says how."""
     notes: list[str] = []
     _made(clip[1], clip[3], options, notes.append)

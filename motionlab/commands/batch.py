@@ -3,13 +3,16 @@ kills its process is named and the others go on, and what is done stays done."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 import traceback
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
+from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
@@ -17,6 +20,7 @@ from tqdm import tqdm
 from motionlab.errors import DataError, MissingData, NotConverged, ShapeError
 from motionlab.parallel import run_jobs, threads_for
 
+Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (one or two paths), and where it goes
 #: How often a clip may lose its process while it is alone in it, until it is the one to blame.
 LIVES = 2
 #: Seconds that a cluster has to answer, and to have a worker.
@@ -105,6 +109,40 @@ def run_many(
         else:
             _on_cluster(work, cluster, done)
     return batch
+
+
+def run_clips(
+    function: Callable[[Job], Sequence[str]],
+    clips: Sequence[Job],
+    finished: Callable[[Job], bool],
+    options: argparse.Namespace,
+    compared: bool = False,
+) -> int:
+    """Runs a command on every clip that is not finished; prints what was done, and every note once.
+
+    function: of a clip, to its notes; a module's function or a partial of one. compared: whether ``finished`` asks for
+    the same options. Returns 1 where a clip failed, else 0.
+
+    Raises:
+        DataError: --jobs below 1 or with --cluster, or no cluster. MissingData: the package that speaks to one.
+    """
+    clips = [(name, *(path and path.resolve() for path in paths)) for name, *paths in clips]  # for other machines
+    jobs = 1 if options.jobs is None else options.jobs
+    how = {"jobs_at_once": jobs, "cluster": options.cluster, "name": itemgetter(0)}
+    found = run_many(function, clips, finished=finished, **how)
+    said = defaultdict(list)
+    for k, notes in sorted(found.results.items()):
+        for note in notes:
+            said[note].append(found.names[k])
+    for note, names in said.items():
+        print(f"note: {note} ({names[0] if len(names) == 1 else f'{len(names)} clips'})")
+    print(found.lines()[0])
+    if found.skipped:
+        how = "" if compared else ", perhaps made with other options"
+        print(f"note: clips that were finished before{how}, stay as they are; to make one again, delete what it wrote")
+    if found.failed:  # why was said when it happened
+        print(f"failed: {', '.join(found.names[k] for k in sorted(found.failed))}", file=sys.stderr)
+    return 1 if found.failed else 0
 
 
 def _attempt(function: Callable[[Any], Any], job: Any) -> Any:

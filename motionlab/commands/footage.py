@@ -7,9 +7,7 @@ from collections import defaultdict
 from functools import partial
 from pathlib import Path
 
-from motionlab.commands import many
-from motionlab.commands.many import Job
-from motionlab.commands.printing import add_command, is_watched, text_table
+from motionlab.commands.printing import add_command, add_sharing, is_watched, text_table
 from motionlab.errors import DataError
 
 #: A clip's keypoints are one of the first, or a folder that holds some of the second; its video one of the third, or
@@ -54,7 +52,7 @@ def add_fit(commands: argparse._SubParsersAction) -> None:
     option("--quick", action="store_true", help="few steps, a small film: a first look")
     text = "the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/"
     option("--each", action="store_true", help=text)
-    many.add_sharing(command, "with --each")
+    add_sharing(command, "with --each")
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -113,6 +111,8 @@ def _fit_one(options: argparse.Namespace) -> int:
 
 
 def _fit_each(options: argparse.Namespace) -> int:
+    from motionlab.commands import batch
+
     if options.people:
         raise DataError("lists the people of one clip", place="--people", remedy="leave out --each, or --people")
     if options.video is None and options.keypoints is None:
@@ -123,10 +123,10 @@ def _fit_each(options: argparse.Namespace) -> int:
     how = {name: getattr(options, name) for name in _PASSED_ON}
     for name in ("camera", "prior", "pose_prior", "initial"):  # for workers that stand elsewhere
         how[name] = how[name] and how[name].resolve()
-    return many.run_clips(partial(_fit_clip, how=how), clips, partial(_is_fitted, how=how), options, compared=True)
+    return batch.run_clips(partial(_fit_clip, how=how), clips, partial(_is_fitted, how=how), options, compared=True)
 
 
-def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
+def _fit_clip(clip: tuple, how: dict[str, object]) -> list[str]:
     """Fits one of many; says who is to be doubted."""
     from motionlab.footage import fit, scene_report
 
@@ -137,7 +137,7 @@ def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
     return [*record["notes"], *doubted, *guessed]
 
 
-def _is_fitted(clip: Job, how: dict[str, object]) -> bool:
+def _is_fitted(clip: tuple, how: dict[str, object]) -> bool:
     from motionlab.footage import fit
 
     _, keypoints, video, out = clip

@@ -1,4 +1,4 @@
-"""What the commands say: of themselves, in tables, and how far they are where somebody watches."""
+"""What all commands share: how they say what they are, tables, and whether somebody watches."""
 
 from __future__ import annotations
 
@@ -16,6 +16,13 @@ def add_command(
     command.epilog = f"example:\n  motionlab {name} {example}".rstrip()
     command.set_defaults(run=run)
     return command
+
+
+def add_sharing(command: argparse.ArgumentParser, what: str) -> None:
+    """Adds the options of a command that works on a folder of clips."""
+    command.add_argument("--jobs", type=int, metavar="N", help=f"{what}: so many at once, a process each (default 1)")
+    text = f"{what}: on the workers of this Dask scheduler, who share the folders (needs motionlab[cluster])"
+    command.add_argument("--cluster", metavar="tcp://HOST:PORT", help=text)
 
 
 def text_table(rows: Sequence[dict[str, object]]) -> str:
