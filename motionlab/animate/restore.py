@@ -52,9 +52,6 @@ def _measured_noise(motion: Motion) -> Noise:
 
     Of independent noise these have 924 times its variance; motion, which is smooth, has hardly any. Lasting noise is
     not seen.
-
-    Raises:
-        DataError: fewer than ``_LEAST`` frames.
     """
     if motion.frames < _LEAST:
         what = f"too short to measure noise: {_LEAST} frames are needed, it has {motion.frames}"

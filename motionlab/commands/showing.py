@@ -113,11 +113,7 @@ def cut(motion: Motion, path: Path, seconds: list[float] | None) -> Motion:
 
 
 def _labels(files: list[Path]) -> list[str]:
-    """The names of files, with their folders where two have one name.
-
-    Raises:
-        DataError: one file is named twice.
-    """
+    """The names of files, with their folders where two have one name."""
     seen = Counter(path.name for path in files)
     labels = [path.name if seen[path.name] == 1 else f"{path.resolve().parent.name}/{path.name}" for path in files]
     twice = next((label for label, count in Counter(labels).items() if count > 1), None)

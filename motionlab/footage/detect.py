@@ -34,11 +34,7 @@ _OTHERWISE = (
 
 
 def _rtmpose(mode: str = "balanced") -> _Finder:
-    """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance.
-
-    Raises:
-        MissingData: a package is not installed, or the weights cannot be fetched or used.
-    """
+    """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance."""
     try:
         from rtmlib import BodyWithFeet
 

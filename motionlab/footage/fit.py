@@ -247,10 +247,8 @@ def _film(
         motion = resample(replace(motion, contacts=None), rate) if rate != motion.fps else motion
         hold = torch.arange(count).clamp(max=motion.frames - 1)  # what lies behind the last sample
         motions.append(replace(motion, root=motion.root[hold], rot=motion.rot[hold], contacts=None))
-    seen = [
-        replace(fitted.seen, keypoints=points[at], confidence=sure[at], fps=rate)
-        for points, sure in zip(fitted.seen.keypoints, fitted.seen.confidence, strict=True)
-    ]
+    both = zip(fitted.seen.keypoints, fitted.seen.confidence, strict=True)
+    seen = [replace(fitted.seen, keypoints=points[at], confidence=sure[at], fps=rate) for points, sure in both]
     pictures = None if clip.video is None else clip.pictures(range(count))
     roles = [scene_report.PEOPLE[k % len(scene_report.PEOPLE)] for k in range(len(motions))]
     how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen, "progress": begins("film", bars)}

@@ -107,18 +107,10 @@ class SceneFitConfig:
 
 
 #: The work of a fit, as near as ``Schedule.lean`` in less than half of its time (CHANGELOG); a first look.
-FULL_WORK = replace(
-    testops.Schedule.lean(),
-    tolerance=3e-4,
-    guesses=True,
-    shooting=Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, two_starts=False, damping=(0.1, 0.01)),
-)
-QUICK_WORK = replace(
-    testops.Schedule.quick(),
-    steps=(2, 4, 3),
-    guesses=True,
-    shooting=Plan(2, 12, trial_rounds=0, mode_jumps=0, stride=8, damping=(0.1, 0.01)),
-)
+_PLAN = Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, two_starts=False, damping=(0.1, 0.01))
+FULL_WORK = replace(testops.Schedule.lean(), tolerance=3e-4, guesses=True, shooting=_PLAN)
+_QUICK_PLAN = Plan(2, 12, trial_rounds=0, mode_jumps=0, stride=8, damping=(0.1, 0.01))
+QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), guesses=True, shooting=_QUICK_PLAN)
 
 
 def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
@@ -274,10 +266,8 @@ def _kept(file: Path, people: int, length: int) -> dict[str, Tensor | np.ndarray
     if not file.exists():
         return None
     with reading(file, "delete it") as at:
-        found = {
-            key: value if value.dtype.kind == "U" else torch.from_numpy(value.copy())
-            for key, value in read_npz(at, (*_KEYS, *_SAID)).items()
-        }
+        kept = read_npz(at, (*_KEYS, *_SAID)).items()
+        found = {key: x if x.dtype.kind == "U" else torch.from_numpy(x.copy()) for key, x in kept}
         if set(found) != {*_KEYS, *_SAID} or found["root"].shape != (people, length, 3):
             raise at.error("not a window of this footage")
         return found

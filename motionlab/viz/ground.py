@@ -44,8 +44,7 @@ def _vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _darkness(points: np.ndarray, areas: np.ndarray, centre: np.ndarray, width: float = _WIDTH) -> np.ndarray:
     """How much light a surface keeps from the floor around ``centre``, (cells, cells) in 0..1, row = y.
 
-    The surface is splatted on the floor with its area; what is high is blurred widely, what touches
-    sharply, so contact is visible.
+    It is splatted on the floor with its area; what is high is blurred widely, what touches sharply: contact is visible.
     """
     height = np.clip(points[:, 2], 0, None)
     at = (points[:, :2] + height[:, None] * _LIGHT - centre[:2]) / width + 0.5

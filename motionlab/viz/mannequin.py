@@ -106,13 +106,11 @@ def _ellipsoid(centre, radii):
 
 
 #: Radii in metres at both ends of the bone that ends in a joint, and its belly; for a person of 1.7 m.
-_MANNEQUIN = {
-    "hip": (0.075, 0.08, 0.0), "knee": (0.078, 0.046, 0.006), "ankle": (0.045, 0.029, 0.014),
-    "spine1": (0.108, 0.103, 0.0), "spine2": (0.103, 0.104, 0.0), "spine3": (0.104, 0.106, 0.0),
-    "neck": (0.06, 0.045, 0.0), "head": (0.045, 0.042, 0.0),
-    "collar": (0.05, 0.05, 0.0), "shoulder": (0.048, 0.052, 0.0),
-    "elbow": (0.048, 0.033, 0.005), "wrist": (0.034, 0.022, 0.006),
-}  # fmt: skip
+_MANNEQUIN = {"hip": (0.075, 0.08, 0.0), "knee": (0.078, 0.046, 0.006), "ankle": (0.045, 0.029, 0.014),
+              "spine1": (0.108, 0.103, 0.0), "spine2": (0.103, 0.104, 0.0), "spine3": (0.104, 0.106, 0.0),
+              "neck": (0.06, 0.045, 0.0), "head": (0.045, 0.042, 0.0), "collar": (0.05, 0.05, 0.0),
+              "shoulder": (0.048, 0.052, 0.0), "elbow": (0.048, 0.033, 0.005),
+              "wrist": (0.034, 0.022, 0.006)}  # fmt: skip
 
 
 def _mannequin(skeleton: Skeleton, offsets: np.ndarray):
@@ -243,12 +241,10 @@ def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 
 def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title: str, limits, cmap: str) -> pv.Actor:
     """Shows a scalar per vertex on a surface, with a bar that names it."""
     mesh.point_data["field"] = values
-    height = plotter.window_size[1]
-    bar = {
-        "title": title, "vertical": True, "position_x": 0.86, "position_y": 0.2, "width": 0.05, "height": 0.55,
-        "title_font_size": max(height // 34, 9), "label_font_size": max(height // 38, 8), "color": INK,
-        "n_labels": 3, "fmt": "%.2g",
-    }  # fmt: skip
+    high = plotter.window_size[1]
+    bar = {"title": title, "vertical": True, "position_x": 0.86, "position_y": 0.2, "width": 0.05, "height": 0.55,
+           "title_font_size": max(high // 34, 9), "label_font_size": max(high // 38, 8), "color": INK,
+           "n_labels": 3, "fmt": "%.2g"}  # fmt: skip
     look = {"scalars": "field", "clim": limits, "cmap": cmap, "scalar_bar_args": bar}
     actor = plotter.add_mesh(mesh, reset_camera=False, **look, **SKIN)
     actor.prop.interpolation = "Phong"

@@ -250,26 +250,23 @@ def strip(
     if azimuth is None:
         first = single(next(iter(panels.values())))
         azimuth = viewpoint.good_azimuth(mannequin.array(first.root), viewpoint.left_of(first), size[0] / size[1])
-    each = ((label, x, roles[label], None if x is ghost else ghost) for label, x in panels.items())
-    return np.concatenate([_row(*row, n, body, size, azimuth) for row in each])
-
-
-def _row(label, motion, role, ghost, n, body, size, azimuth) -> np.ndarray:
-    frames = np.linspace(0, single(motion).frames - 1, n).round().astype(int)
-    turn = np.radians(azimuth)
+    turn, rows = np.radians(azimuth), []
     towards, right = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
-    with Scene(size, panels=(label,), azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:
-        reach = mannequin.array(motion.positions[frames]) - mannequin.array(motion.root[frames])[:, None]
-        side = reach @ right
+    for label, motion in panels.items():
+        frames = np.linspace(0, single(motion).frames - 1, n).round().astype(int)
+        root, both = mannequin.array(motion.root[frames]), (motion, None if motion is ghost else ghost)
+        side = (mannequin.array(motion.positions[frames]) - root[:, None]) @ right
         step = np.concatenate(([0.0], np.cumsum(side.max(1)[:-1] - side.min(1)[1:] + 0.25)))
-        height = mannequin.array(motion.root[frames, 2])
-        for place, frame, near in zip(step, frames, height < height.min() + 1.5, strict=True):
-            home = torch.tensor(place * right - [*mannequin.array(motion.root[frame, :2]), 0.0]).to(motion.root)
-            here, beside = (m and replace(m, root=m.root + home) for m in (motion, ghost))
-            _add(scene, here, role, body, beside, frame=int(frame), framed=near)
-            if motion.frames > 1:
-                scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
-        return scene.floor().image()
+        with Scene(size, panels=(label,), azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:
+            for place, frame, at in zip(step, frames, root, strict=True):
+                home = torch.tensor(place * right - [*at[:2], 0.0]).to(motion.root)
+                here, beside = (m and replace(m, root=m.root + home) for m in both)
+                near = at[2] < root[:, 2].min() + 1.5
+                _add(scene, here, roles[label], body, beside, frame=int(frame), framed=near)
+                if motion.frames > 1:
+                    scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
+            rows.append(scene.floor().image())
+    return np.concatenate(rows)
 
 
 def pose_row(

@@ -45,11 +45,8 @@ def blend(a: str | tuple, b: str | tuple, share: float) -> tuple[float, float, f
 
 def sides(base: str | tuple) -> dict[str, tuple[float, float, float]]:
     """Computes three tones of one colour: the left of a body is light, the right is dark, the middle between."""
-    return {
-        "left": blend(base, "white", 0.42),
-        "middle": blend(base, "white", 0.16),
-        "right": blend(base, "black", 0.2),
-    }
+    tones = {"left": ("white", 0.42), "middle": ("white", 0.16), "right": ("black", 0.2)}
+    return {side: blend(base, *tone) for side, tone in tones.items()}
 
 
 def side_of(name: str) -> str:
