@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from motionlab.commands.motions import READ, WRITTEN, add_reading, make_folder, read_motion, say_note
 from motionlab.commands.printing import add_command, add_sharing, is_watched
-from motionlab.commands.showing import add_cut, add_film, check_film, cut, draw_film
+from motionlab.commands.showing import CUT, check_film, cut, draw_film
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command = add("cycle", "make a motion a loop, or let it go nowhere", example, _cycle)
     command.add_argument("--loop", action="store_true", help="its last frame is its first again; best cut to one round")
     command.add_argument("--in-place", action="store_true", help="the root stays above one point of the floor")
-    add_cut(command)
+    command.add_argument("--cut", **CUT, help="only these seconds")
     command.add_argument("--blend", type=float, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
 
     text, example = "put the movement of a motion on the rig of another", "walk.bvh --onto rig.bvh --out mine.bvh"
@@ -65,7 +65,8 @@ def add_commands(commands: argparse._SubParsersAction) -> None:
     command.add_argument("--start", type=Path, metavar="IN", help="a motion to go on from, which stays as it is")
     command.add_argument("--format", choices=[s[1:] for s in WRITTEN], help="default: that of --start, or bvh")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER")
-    add_film(command, "what was made, side by side")
+    text = "also write a film: what was made, side by side"
+    command.add_argument("--film", type=Path, metavar="FILE.mp4", help=text)
     _usual(command, "of the first (default 0)")
 
 
@@ -73,7 +74,8 @@ def _command(commands, name: str, text: str, example: str, make: Callable | None
     command = add_command(commands, name, text, example, _on_motions)
     command.add_argument("source", metavar="IN", type=Path, help=_IN)
     command.add_argument("--out", type=Path, required=True, help=_OUT)
-    add_film(command, "what was given beside what was made of it; not of a folder")
+    text = "also write a film: what was given beside what was made of it; not of a folder"
+    command.add_argument("--film", type=Path, metavar="FILE.mp4", help=text)
     add_sharing(command, "of a folder")
     command.set_defaults(make=make)
     _usual(command, *seed, plants=plants)

@@ -16,6 +16,7 @@ from motionlab.errors import DataError
 if TYPE_CHECKING:
     from motionlab.motion import Motion
 
+CUT = {"type": float, "nargs": 2, "metavar": ("FROM", "TO")}  # the option ``--cut``, for :func:`cut`
 _MOST = 6  # motions side by side: more are too small to see
 _FILMS, _PICTURE = (".mp4", ".gif"), ".png"
 _PICTURES = 900  # of a film: 30 s at 30 a second; they are all in memory
@@ -30,19 +31,8 @@ def add_show(commands: argparse._SubParsersAction) -> None:
     option("--out", type=Path, required=True, metavar="FILE", help=text)
     option("--bones", action="store_true", help="a figure of the file's own joints, not a body")
     option("--follow", action="store_true", help="the view moves along with who walks")
-    add_cut(command, "of every file")
+    option("--cut", **CUT, help="only these seconds of every file")
     add_reading(command)
-
-
-def add_cut(command: argparse.ArgumentParser, what: str = "") -> None:
-    """Adds ``--cut``, for :func:`cut`."""
-    text = f"only these seconds {what}".strip()
-    command.add_argument("--cut", type=float, nargs=2, metavar=("FROM", "TO"), help=text)
-
-
-def add_film(command: argparse.ArgumentParser, what: str) -> None:
-    """Adds ``--film``, which shows ``what``."""
-    command.add_argument("--film", type=Path, metavar="FILE.mp4", help=f"also write a film: {what}")
 
 
 def check_film(path: Path, count: int = 1, picture: bool = False) -> None:

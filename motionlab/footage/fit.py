@@ -280,23 +280,15 @@ def _record(
         row["open"] = ["no other motions are drawn: the fit is doubtful"] if row["doubtful"] else each.summary()
     source = "given, and its place" if clip.placed else "given, its place found" if given else "assumed, level at first"
     return {
-        "keypoints": {
-            "path": str(read.path), "detector": read.detector, "points": len(read.names), "fps": read.fps,
-            "frames": read.frames, "size": clip.size, "people": read.table(),
-        },
-        "footage": None if clip.video is None else {
-            "path": str(clip.video.path), "fps": clip.rate, "frames": clip.video.frames, "size": clip.video.size,
-            "first": clip.first,
-        },
-        "camera": {
-            "source": source, "width": camera.width, "height": camera.height,
-            **{key: getattr(camera, key).tolist() for key in ("intrinsics", "rotation", "translation")},
-            "distortion": list(clip.camera.distortion) if given else [],
-        },
-        "moving_camera": {
-            "assumed": "the camera does not move", "background_drift": worst,
-            "moved": True if cuts else None if worst is None else worst > video.MOVED, "cuts_s": cuts,
-        },
+        "keypoints": {"path": str(read.path), "detector": read.detector, "points": len(read.names), "fps": read.fps,
+                      "frames": read.frames, "size": clip.size, "people": read.table()},
+        "footage": clip.video and {"path": str(clip.video.path), "fps": clip.rate, "frames": clip.video.frames,
+                                   "size": clip.video.size, "first": clip.first},
+        "camera": {"source": source, "width": camera.width, "height": camera.height,
+                   **{key: getattr(camera, key).tolist() for key in ("intrinsics", "rotation", "translation")},
+                   "distortion": list(clip.camera.distortion) if given else []},
+        "moving_camera": {"assumed": "the camera does not move", "background_drift": worst,
+                          "moved": True if cuts else None if worst is None else worst > video.MOVED, "cuts_s": cuts},
         "people": people, "left_out": left_out, "frames": fitted.seen.frames, "fps": fitted.seen.fps,
         "windows": fitted.windows, "energy": fitted.energy, "ended": list(fitted.reasons),
         "notes": [*clip.notes, *fitted.notes],

@@ -144,27 +144,26 @@ def over_footage(
             drawn = bodies_over(motions, camera, below, frames, size, body, **how)
             name = progress if isinstance(progress, str) else None
             for frame, front in enumerate(tqdm(drawn, name, count, leave=False, disable=not progress)):
+                image, scale = Image.fromarray(front), size[0] / camera.width
                 for person, role in zip(seen, roles, strict=False):
-                    front = _dotted(front, person, frame, size[0] / camera.width, role)
+                    _draw_dots(image, person, frame, scale, role)
                 for k, (places, hidden) in (ghosts or {}).items():
                     if shown is None or shown[k][frame]:
-                        front = _ghostly(front, places[:, frame], hidden[frame], size[0] / camera.width, roles[k])
+                        _draw_bones(image, places[:, frame] * scale, hidden[frame], roles[k])
                 text = "over the footage" if pictures is not None else "through the camera"
-                picture = np.concatenate((labelled(front, text), side.image(frame / fps)), 1)
+                picture = np.concatenate((labelled(np.asarray(image), text), side.image(frame / fps)), 1)
                 film.append_data(picture)
                 poster = picture if poster is None or frame == count // 2 else poster
     return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))
 
 
-def _ghostly(picture: np.ndarray, places: Tensor, hidden: Tensor, scale: float, role: str | tuple) -> np.ndarray:
+def _draw_bones(image: Image.Image, places: Tensor, hidden: Tensor, role: str | tuple) -> None:
     """Draws the hidden bones of other motions, places (K, 22, 2), as lines, so that many of them make a cloud."""
-    image = Image.fromarray(picture)
     pen, tone = ImageDraw.Draw(image, "RGBA"), tuple(round(255 * c) for c in blend(colour(role), INK, 0.3))
     for joint in hidden.nonzero()[:, 0].tolist():
-        for bone in (places[:, [STANDARD.parents[joint], joint]] * scale).flatten(1):
+        for bone in places[:, [STANDARD.parents[joint], joint]].flatten(1):
             if bone.isfinite().all():
                 pen.line(bone.tolist(), fill=(*tone, 90), width=2)
-    return np.asarray(image)
 
 
 def _usual(points: Tensor) -> float:
@@ -172,9 +171,7 @@ def _usual(points: Tensor) -> float:
     return float(points[points > 0].float().median()) if (points > 0).any() else 0.0
 
 
-def _dotted(picture: np.ndarray, seen: Observation2D, frame: int, scale: float, role: str | tuple) -> np.ndarray:
-    image = Image.fromarray(picture)
+def _draw_dots(image: Image.Image, seen: Observation2D, frame: int, scale: float, role: str | tuple) -> None:
     pen, tone = ImageDraw.Draw(image), tuple(round(255 * c) for c in blend(colour(role), "white", 0.5))
     for at in (seen.keypoints[frame][seen.confidence[frame] > 0] * scale).tolist():
         pen.circle(tuple(at), 2.5, fill=tone, outline=(20, 20, 20))
-    return np.asarray(image)

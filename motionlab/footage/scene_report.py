@@ -47,20 +47,17 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
         "spans_s": _spans(shown, motion.fps),
         "detected": float(seen[shown][:, USED].float().mean()),
         "missing_by_joint": {BODY_25[n]: 1 - float(seen[:, n].float().mean()) for n in USED},
-        "pixels": {
-            "mean": float((weight * away).sum() / weight.sum()), "median": float(away[seen].median()), "rms": rms,
-            "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in USED if seen[:, n].any()},
-            "by_time": [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)],
-        },
+        "pixels": {"mean": float((weight * away).sum() / weight.sum()),
+                   "median": float(away[seen].median()), "rms": rms,
+                   "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in USED if seen[:, n].any()},
+                   "by_time": [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]},
         "latent_chi2": latent_chi2 if np.isfinite(latent_chi2) else None,
         "doubtful": not (latent_chi2 <= MAX_LATENT_CHI2 and rms <= MISFIT_WIDTH * fitted.camera.width),
         "bounds": {"latent_chi2": MAX_LATENT_CHI2, "rms": MISFIT_WIDTH * fitted.camera.width},
         "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
         "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
-        "contacts_by_time": {
-            name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
-            for n, name in enumerate(motion.skeleton.contact_names) if name in FEET
-        },
+        "contacts_by_time": {name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
+                             for n, name in enumerate(motion.skeleton.contact_names) if name in FEET},
         "feet_above_floor_cm": 100 * float(above_floor(motion.positions[shown])),
         "feet_seen": float(feet_seen(fitted.seen.confidence[k])),
         "bones": dict(zip(body_shape.BONE_GROUPS, body_shape.from_skeleton(motion.skeleton).tolist(), strict=True)),

@@ -46,11 +46,9 @@ def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
             one, other = BODY_25.index(f"{side}_{a}"), BODY_25.index(f"{side}_{b}")
             length = float(STANDARD.offsets[STANDARD.index(f"{side}_{b}")].norm())
             sizes.append((plane[..., one, :] - plane[..., other, :]).norm(dim=-1) * lower / level / length)
-    found = []
-    for person in torch.stack(sizes, 1):  # (8, T)
-        usual = [row[row.isfinite()].quantile(0.9) for row in person if row.isfinite().sum() >= _FRAMES]
-        found.append(float(torch.stack(usual).median()) if usual else float("nan"))
-    return found
+    size = torch.stack(sizes, 1)  # (P, 8, T)
+    told = size.isfinite() & (size.isfinite().sum(-1, keepdim=True) >= _FRAMES)
+    return torch.where(told, size, torch.nan).nanquantile(0.9, dim=-1).nanmedian(-1).values.tolist()
 
 
 def resized(motion: Motion, factor: float) -> Motion:

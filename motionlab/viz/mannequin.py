@@ -254,11 +254,8 @@ def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title:
 
 def add_lights(plotter: pv.Plotter) -> None:
     """Adds three lights that travel with the eye: a warm key from the upper left, a cool fill, a rim from behind."""
-    for position, tint, strength in (
-        ((-1.4, 1.8, 2.0), "#fff6ea", 1.0),
-        ((2.0, 0.3, 1.4), "#e6efff", 0.6),
-        ((0.6, 1.6, -2.2), "#ffffff", 0.6),
-    ):
+    lamps = [((-1.4, 1.8, 2.0), "#fff6ea", 1.0), ((2.0, 0.3, 1.4), "#e6efff", 0.6), ((0.6, 1.6, -2.2), "#ffffff", 0.6)]
+    for position, tint, strength in lamps:
         lamp = pv.Light(position=position, color=tint, light_type="camera light", intensity=strength)
         plotter.add_light(lamp, only_active=True)
 

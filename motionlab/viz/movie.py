@@ -32,12 +32,9 @@ Mesh = tuple[Tensor, Tensor]  # vertices (1, V, 3), faces (F, 3)
 _WOOD, _GHOST = "#b9a88f", (0.35, 0.35, 0.35)
 _DRAFT = 5  # pictures of a film that is only drawn to see that it draws
 _HANDLE = (0.835, 0.369, 0.0)  # vermillion: seen beside every role
-_ARMS_LEGS = [
-    (f"{side}_{a}", f"{side}_{b}")
-    for side in ("left", "right")
-    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"),
-                 ("ankle", "big_toe"), ("big_toe", "small_toe"), ("eye", "ear"))
-]  # fmt: skip
+_ARMS_LEGS = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (
+    ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"),
+    ("ankle", "big_toe"), ("big_toe", "small_toe"), ("eye", "ear"))]  # fmt: skip
 _MIDDLE = [("neck", "mid_hip"), ("nose", "neck"), ("nose", "left_eye"), ("nose", "right_eye")]
 _WITH_NECK = [("neck", "left_shoulder"), ("neck", "right_shoulder"), ("mid_hip", "left_hip"), ("mid_hip", "right_hip")]
 _WITHOUT = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"), ("left_shoulder", "left_hip"),
