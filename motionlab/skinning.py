@@ -95,8 +95,8 @@ def fall_off(body: BodyModel, distance: Tensor | None = None, quantile: float = 
     region's edge it is about 0.5. Of each joint's weights in ``ORDINARY``, the ``quantile`` of that rate; a joint with
     fewer than ``least`` of them has that of all joints together.
 
-    Args:
-        distance: :func:`surface_distance` of the body if it is at hand.
+    distance: :func:`surface_distance` of the body if it is at hand.
+
     Raises:
         ShapeError: the body has no ordinary weight outside the joints' own regions.
     """
@@ -124,9 +124,8 @@ def spurious(
 
     The rule needs both: a small weight next to its joint's region is how smooth skinning fades out.
 
-    Args:
-        far: one distance or one per weight (V, J); by default the body's own :func:`reach`.
-        distance: :func:`surface_distance` of the body if it is at hand.
+    far: one distance or one per weight (V, J); by default the body's own :func:`reach`. distance:
+    :func:`surface_distance` of the body if it is at hand.
     """
     distance = surface_distance(body) if distance is None else distance
     far = reach(body, distance) if far is None else far
@@ -192,8 +191,7 @@ def influence(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int
 
     The Frobenius norm of d v_k / d w_j at w = 0, where joint j has rotation rot_j exp(w_j).
 
-    Args:
-        root: (3,). rot: (J, 3, 3). vertices: K indices into the mesh.
+    root: (3,). rot: (J, 3, 3). vertices: K indices into the mesh.
     """
 
     def place(turn: Tensor) -> Tensor:  # (J, 3) -> (K, 3)

@@ -32,13 +32,9 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
     exports. Whatever is changed is filled in and drawn anew at once. What goes wrong is said below in red; the picture
     stays, and nothing is exported until it is right.
 
-    Args:
-        backend: of the view, as of ``slider``: "picture" or "trame".
-        body: whose skin is shown; None, or joints that are not known: a figure. guided: unit, up of a BVH.
-
-    Returns:
-        an ipywidgets box; its attribute ``hands`` holds by name what a person touches and reads: player, frames, keep,
-        previous, next, joints, method, file, export, message.
+    It is an ipywidgets box; its attribute ``hands`` holds by name what a person touches and reads: player, frames,
+    keep, previous, next, joints, method, file, export, message. backend: of the view, as of ``slider``: "picture" or
+    "trame". body: whose skin is shown; None, or joints that are not known: a figure. guided: unit, up of a BVH.
 
     Raises:
         DataError: not a readable motion.

@@ -328,8 +328,7 @@ def check_target(source: str | Path | None, target: str | Path) -> None:
 def write_back(source: str | Path | None, target: str | Path, loaded: Motion | None, made: Motion) -> str:
     """Writes what was made of a motion: where the format stays, into a copy of its file; says which it was.
 
-    Args:
-        source, loaded: the file and the motion that was read from it; None where there is none.
+    source, loaded: the file and the motion that was read from it; None where there is none.
 
     Raises:
         DataError: a target that cannot be (:func:`check_target`), or for an .npz a skeleton of unknown joints.

@@ -110,9 +110,7 @@ def read_clip(
 ) -> tuple[Clip, list[int], Observation2D]:
     """Returns a clip with the camera of a file, its lens taken out; the ids of who is meant; their keypoints for a fit.
 
-    Args:
-        person: see ``Footage.chosen``.
-        how: see ``open_clip``.
+    person: see ``Footage.chosen``. how: see ``open_clip``.
 
     Raises:
         DataError: see ``open_clip``, ``with_camera`` and ``observation``; nobody has the id, or people outside the

@@ -63,9 +63,7 @@ def find(
 ) -> None:
     """Finds the keypoints of everybody in a video and writes them as npz, as ``io.keypoints`` reads it.
 
-    Args:
-        finder: what finds them in one picture; default RTMPose's.
-        fps: of a folder of images.
+    finder: what finds them in one picture; default RTMPose's. fps: of a folder of images.
 
     Raises:
         MissingData: rtmlib is not installed, or its weights are not here and cannot be fetched.

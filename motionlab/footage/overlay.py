@@ -62,12 +62,9 @@ def bodies_over(
 ) -> Iterator[np.ndarray]:
     """Draws the skins of people through their camera over pictures, one per frame; whoever is nearer hides the other.
 
-    Args:
-        motions: one clip per person, at one rate.
-        pictures: (H, W, 3) uint8, those of ``frames`` in their order, of the size (width, height) and the camera's
-            shape.
-        shown: (P, T) in which frames there is somebody.
-        fine: smooth edges; where the processor draws, that takes three times as long.
+    motions: one clip per person, at one rate. pictures: (H, W, 3) uint8, those of ``frames`` in their order, of the
+    size (width, height) and the camera's shape. shown: (P, T) in which frames there is somebody. fine: smooth edges;
+    where the processor draws, that takes three times as long.
     """
     with Scene(size, camera=camera) as scene:
         _edges(scene, fine)

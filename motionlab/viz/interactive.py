@@ -153,11 +153,8 @@ class Player:
     """A scene in JupyterLab as widgets to arrange: ``view``, ``play``, ``hand`` (a slider), ``clock`` (a label) and
     ``turns`` (buttons that turn the picture, where no mouse does).
 
-    Args:
-        seconds: how long the scene moves.
-        backend: as of :func:`slider`, but not "static".
-        steps: of the slider from start to end; by default 25 per second.
-        words: step of the picture that is shown, to what the clock says.
+    seconds: how long the scene moves. backend: as of :func:`slider`, but not "static". steps: of the slider from start
+    to end; by default 25 per second. words: step of the picture that is shown, to what the clock says.
     """
 
     def __init__(
@@ -216,16 +213,13 @@ def explore(
     """Builds an experiment with knobs: whenever one is turned, ``draw(**values)`` draws the picture anew.
 
     Where drawing cannot keep up, values that newer ones have overtaken are skipped. An error is shown below the
-    picture, which stays.
+    picture, which stays. It is an ipywidgets box with children (picture, message, knob, knob, ...).
 
     Args:
         draw: values by knob to a picture (H, W, 3) uint8, a matplotlib figure or a film.
         units: of knobs, by name: "gap (s)".
         knobs: as for ``ipywidgets.interact``: (low, high, step) and numbers make sliders, a list or mapping a menu,
             True or False a box to tick, or any widget. They begin at the defaults of ``draw``, where it has some.
-
-    Returns:
-        an ipywidgets box with children (picture, message, knob, knob, ...).
 
     Raises:
         ValueError: a unit of no knob.

@@ -300,10 +300,8 @@ def overlay(
 ) -> np.ndarray:
     """Draws one frame of keypoints over a picture (H, W, 3) uint8: confidence is opacity, left light, right dark.
 
-    Args:
-        picture: (H, W, 3) uint8 of the observation's camera at any scale; without a camera its
-            pixels are the observation's.
-        width: of a limb, pixels of the picture.
+    picture: of the observation's camera at any scale; without a camera its pixels are the observation's. width: of a
+    limb, pixels of the picture.
 
     Raises:
         ShapeError: a batch of observations. IndexError: no such frame.

@@ -92,9 +92,8 @@ def choose_framing(
     different places get their own. Who flies off does not make the others small: what is far from where a panel mostly
     is, by metres and by half as much again as in the calmer half of the panels, does not count.
 
-    Args:
-        seen: per panel the paths (T, M, 3) with their frames per second.
-        aspect: width over height of a panel. left: (3,) towards the first subject's left, or None.
+    seen: per panel the paths (T, M, 3) with their frames per second. aspect: width over height of a panel. left: (3,)
+    towards the first subject's left, or None.
     """
     paths = [[path for path, _ in panel] for panel in seen]
     moving = [max(panel, key=lambda entry: len(entry[0]), default=(np.zeros((1, 1, 3)), 1.0)) for panel in seen]
@@ -135,8 +134,7 @@ def left_of(motion: Motion) -> np.ndarray | None:
 def good_azimuth(path: np.ndarray, left: np.ndarray | None, aspect: float) -> float:
     """Chooses the azimuth in degrees for a motion: across its travel, from the front where the picture is narrow.
 
-    Args:
-        path: (T, 3) of the root. left: (3,) towards the subject's left at the start, or None.
+    path: (T, 3) of the root. left: (3,) towards the subject's left at the start, or None.
     """
     travel = path[-1, :2] - path[0, :2]
     if np.linalg.norm(travel) > 1.0:
