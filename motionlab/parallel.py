@@ -46,10 +46,7 @@ def one_thread() -> None:
 
 
 def run_jobs(
-    jobs: Sequence[Callable[[], T]],
-    workers: int,
-    done: Callable[[int, T], object] = lambda k, found: None,
-    apart: bool = False,
+    jobs: Sequence[Callable[[], T]], workers: int, done: Callable = lambda k, found: None, apart: bool = False
 ) -> list[T]:
     """Runs jobs in ``workers`` processes, one thread each; returns their results in order. With one worker they run
     here, one after the other, unless ``apart``. One that fails, or Ctrl-C, ends them all.

@@ -112,11 +112,7 @@ def run_many(
 
 
 def run_clips(
-    function: Callable[[Job], Sequence[str]],
-    clips: Sequence[Job],
-    finished: Callable[[Job], bool],
-    options: argparse.Namespace,
-    compared: bool = False,
+    function: Callable, clips: Sequence[Job], finished: Callable, options: argparse.Namespace, compared: bool = False
 ) -> int:
     """Runs a command on every clip that is not finished; prints what was done, and every note once.
 

@@ -158,13 +158,7 @@ class Player:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        seconds: float,
-        backend: str | None = None,
-        *,
-        steps: int | None = None,
-        words: Callable[[int], str] | None = None,
+        self, scene: Scene, seconds: float, backend: str | None = None, steps: int = 0, words: Callable | None = None
     ) -> None:
         import ipywidgets
 

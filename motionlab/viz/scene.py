@@ -235,19 +235,11 @@ class Scene(contextlib.AbstractContextManager):
         return self._watch(panel, at[None])
 
     def ellipsoid(
-        self,
-        centres,
-        shapes,
-        fps: float,
-        role: str | tuple = "ours",
-        *,
-        opacity: float = 0.4,
-        shown: Sequence[bool] | None = None,
-        panel: int = 0,
+        self, centres, shapes, fps: float, role: str | tuple = "ours", *, shown=None, panel: int = 0
     ) -> Scene:
         """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves.
 
-        ``shown`` says in which frames it is there; by default in all.
+        ``shown`` (T,) says in which frames it is there; by default in all.
         """
         size, axes = np.linalg.eigh(np.asarray(shapes, float))
         roots = axes * np.sqrt(np.maximum(size, 0.0))[:, None]
@@ -256,7 +248,7 @@ class Scene(contextlib.AbstractContextManager):
         at, ball = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
         unit, mesh = np.array(ball.points), ball.copy()
         look = {"lighting": False, "reset_camera": False, "render": False}
-        self._panel(panel).add_mesh(mesh, color=colour(role), opacity=opacity, **look)
+        self._panel(panel).add_mesh(mesh, color=colour(role), opacity=0.4, **look)
 
         def update(seconds: float) -> None:
             now = int(np.clip(round(seconds * fps), 0, len(at) - 1))
