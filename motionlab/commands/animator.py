@@ -163,8 +163,10 @@ def _made(
 
     check_target(source, target)
     motion = given = read_motion(source, options, say)
-    if "onto" in options:
-        source, given = options.onto, _rig(options, say)
+    if "onto" in options:  # of which names are given, and what to do with bones that change their length
+        source, said = options.onto, lambda note: say(f"{options.onto.name}: {note}")
+        stretched = options.translations if source.suffix.lower() in (".bvh", ".glb", ".gltf") else None
+        given = read_motion(source, argparse.Namespace(names=options.onto_names, translations=stretched), said)
         found = retarget_onto(motion, given)
     else:
         found = options.make(options, motion, progress)
@@ -214,13 +216,6 @@ def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Anima
     motion = cut(motion, options.source, options.cut)
     blend = looping.BLEND if options.blend is None else options.blend
     return looping.cycled(motion, loop=options.loop, in_place=options.in_place, blend=blend, plant=options.plant)
-
-
-def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:
-    """Reads --onto, of which names are given, and what to do with bones that change their length."""
-    stretched = options.translations if options.onto.suffix.lower() in (".bvh", ".glb", ".gltf") else None
-    alone = argparse.Namespace(names=options.onto_names, translations=stretched)
-    return read_motion(options.onto, alone, lambda note: say(f"{options.onto.name}: {note}"))
 
 
 def _generate(options: argparse.Namespace) -> int:

@@ -129,7 +129,8 @@ def over_footage(
     how = {"roles": roles, "shown": shown, "fine": False}
     azimuth = float(torch.rad2deg(torch.atan2(camera.rotation[0, 1], camera.rotation[0, 0])))
     wide = max(320, 2 * round(0.4 * size[1]))
-    much = [_usual((each.confidence > 0).sum(-1)) for each in seen] or [1.0] * len(motions)
+    counts = [(each.confidence > 0).sum(-1).float() for each in seen]
+    much = [float(n[n > 0].median()) if n.any() else 0.0 for n in counts] or [1.0] * len(motions)
     with Scene((wide, size[1]), azimuth=azimuth, panels=("from the camera's right",)) as side:
         _edges(side, fine=False)
         side.floor()
@@ -161,11 +162,6 @@ def _draw_bones(image: Image.Image, places: Tensor, hidden: Tensor, role: str | 
         for bone in places[:, [STANDARD.parents[joint], joint]].flatten(1):
             if bone.isfinite().all():
                 pen.line(bone.tolist(), fill=(*tone, 90), width=2)
-
-
-def _usual(points: Tensor) -> float:
-    """Points (T) of which as many are seen in a frame that shows any."""
-    return float(points[points > 0].float().median()) if (points > 0).any() else 0.0
 
 
 def _draw_dots(image: Image.Image, seen: Observation2D, frame: int, scale: float, role: str | tuple) -> None:
