@@ -18,8 +18,7 @@ from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
-#: The thesis prunes weights below this.
-SMALL = 1e-2
+SMALL = 1e-2  # the thesis prunes weights below this
 #: Ordinary weights, from which the fall-off is measured: none of them is suspect, none is the joint's own flesh.
 ORDINARY = (1e-2, 1e-1)
 

@@ -102,7 +102,6 @@ class Rig:
         feet = "feet that stand are held in place" if plant else "feet that stand may slide: they are not planted"
         return (f"joints recognised: {len(self.mapped)} of {len(STANDARD)}{missing}", feet)
 
-    # -------------------------------------------------------------------------------------------------- a model
     def corrected(self, fill: Fill, *, rate: float = FPS) -> Motion:
         """Computes the 22 joints with what is not kept filled in by ``fill``, at their own rate again.
 
@@ -147,7 +146,6 @@ class Rig:
             known = known.long().scatter_reduce(0, column, self.known.long(), "amax").bool()
         return with_contacts(slow), known
 
-    # ------------------------------------------------------------------------------------------------ and back
     def to_own_rig(self, made: Motion, *, plant: bool) -> Motion:
         """Computes the own motion with the turns and shifts by which ``made`` differs from ``joints``; what is kept is
         the motion's."""

@@ -109,7 +109,6 @@ def found_joints(motion: Motion, words: Sequence[str]) -> set[int]:
     return found
 
 
-# ------------------------------------------------------------------------------------------------ what is asked
 def inbetween(
     motion: Motion,
     keep: KeyMask,
@@ -218,7 +217,6 @@ def _unkept(frames: Tensor) -> tuple[int, int]:
     return gap, max(begin * (end - begin > 1), (len(frames) - stop) * (stop - start > 1))
 
 
-# ------------------------------------------------------------------------------------------------------ curves
 def curves(motion: Motion, keep: KeyMask, fade: tuple[float, float] = _FADE) -> Motion:
     """Computes a motion (T) whose frames between kept ones lie on smooth curves on its own joints; no other is read.
 
@@ -271,7 +269,6 @@ def _fading(since: Tensor, width: Tensor, fade: float) -> Tensor:
     return n * (u**3 - 2 * u**2 + u)
 
 
-# ------------------------------------------------------------------------------------------------------ widget
 def editor(path: str | Path, backend: str | None = None, **how):
     """Builds the widget of :func:`inbetween` for a file; see ``keyframes.editor``."""
     from motionlab.animate import keyframes  # it draws: imported by who opens it

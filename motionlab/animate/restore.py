@@ -46,7 +46,6 @@ _ANCHOR = 0.5  # seconds in which the path's drift is one
 _CALM = 9  # frames over which poses from handles are smoothed, at the models' rate
 
 
-# ------------------------------------------------------------------------------------------------------ repair
 def _measured_noise(motion: Motion) -> Noise:
     """Measures the noise of a motion (T) that is new in every frame, from the median sixth difference in time.
 
@@ -151,7 +150,6 @@ def _anchored(joints: Motion) -> Motion:
     return replace(made, root=root + (skeleton.sole - low) * torch.tensor([0.0, 0.0, 1.0]).to(root))
 
 
-# -------------------------------------------------------------------------------------------- from a few joints
 def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animated:
     """Computes a motion (T) of which only the places of some joints are known, and where it stands and faces.
 
@@ -194,7 +192,6 @@ def _from_handles(given: Motion, which: Tensor) -> Motion:
     return with_contacts(baselines.smoothed(made, window) if window > 2 else made)
 
 
-# ---------------------------------------------------------------------------------------------------- generate
 def generated(
     seconds: float, *, start: Motion | None = None, seed: int = 0, plant: bool = True, progress: bool = False
 ) -> Animated:

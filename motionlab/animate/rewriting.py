@@ -60,7 +60,6 @@ def _averaged(loaded: Motion) -> list[str]:
     return [name for name, _, _ in said if name in loaded.skeleton.names]
 
 
-# -------------------------------------------------------------------------------------------------------- BVH
 def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
     text = read_text(at)
     joints, values, _ = bvh._parse(at, text)  # what it notes was said when the file was loaded
@@ -163,7 +162,6 @@ def _line_end(line: str) -> str:
     return line[len(line.rstrip("\r\n")) :]
 
 
-# -------------------------------------------------------------------------------------------------------- npz
 def _npz(at: Location, loaded: Motion, made: Motion) -> bytes:
     arrays = {k: np.array(x) for k, x in read_npz(at).items()}
     places, moving = _smpl_keys(arrays)
@@ -200,7 +198,6 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
     return places, moving
 
 
-# -------------------------------------------------------------------------------------------------------- GLB
 def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     content, blob = gltf_reading._chunks(at)
     data = bytearray(read_bytes(at))

@@ -21,10 +21,8 @@ from motionlab.errors import DataError, MissingData, NotConverged, ShapeError
 from motionlab.parallel import run_jobs, threads_for
 
 Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (one or two paths), and where it goes
-#: How often a clip may lose its process while it is alone in it, until it is the one to blame.
-LIVES = 2
-#: Seconds that a cluster has to answer, and to have a worker.
-PATIENCE = 60.0
+LIVES = 2  # how often a clip may lose its process while it is alone in it, until it is the one to blame
+PATIENCE = 60.0  # seconds that a cluster has to answer, and to have a worker
 
 
 @dataclass(frozen=True)

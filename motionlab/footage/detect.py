@@ -21,8 +21,6 @@ from motionlab.io.layouts import HALPE_26
 from motionlab.io.reading import read_npz, reading
 from motionlab.io.video import Video
 
-#: (H, W, 3) uint8, blue first -> points (P, 26, 2) in pixels and scores (P, 26) of the people in it.
-_Finder = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 _LOWEST = 0.3  # score from which RTMPose draws a point
 _OTHERWISE = (
     "Run a 2-D pose detector yourself and give what it wrote with --keypoints: OpenPose "
@@ -33,7 +31,7 @@ _OTHERWISE = (
 )
 
 
-def _rtmpose(mode: str = "balanced") -> _Finder:
+def _rtmpose(mode: str = "balanced") -> Callable:
     """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance."""
     try:
         from rtmlib import BodyWithFeet
@@ -59,11 +57,12 @@ def _rtmpose(mode: str = "balanced") -> _Finder:
 
 
 def find(
-    video: Video, path: str | Path, *, finder: _Finder | None = None, fps: float | None = None, progress: bool = False
+    video: Video, path: str | Path, *, finder: Callable | None = None, fps: float | None = None, progress: bool = False
 ) -> None:
     """Finds the keypoints of everybody in a video and writes them as npz, as ``io.keypoints`` reads it.
 
-    finder: what finds them in one picture; default RTMPose's. fps: of a folder of images.
+    finder: a picture (H, W, 3) uint8, blue first, to points (P, 26, 2) in pixels and scores (P, 26) of the people in
+    it; default RTMPose's. fps: of a folder of images.
 
     Raises:
         MissingData: rtmlib is not installed, or its weights are not here and cannot be fetched.

@@ -180,7 +180,6 @@ def run_clip(
     return record
 
 
-# -------------------------------------------------------------------------------------------------------------- output
 def _stems(ids: Sequence[int]) -> list[str]:
     return ["motion"] if len(ids) == 1 else [f"motion_{each}" for each in ids]
 
@@ -258,7 +257,6 @@ def _film(
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
-# ---------------------------------------------------------------------------------------------------------- the record
 def _record(
     clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, height: float | None
 ) -> dict[str, object]:

@@ -36,15 +36,12 @@ from motionlab.skeleton import BALLS, STANDARD
 
 #: Frames (at 30 fps) that are fitted at once, and the windows of more: their length and what neighbours share.
 MAX_FRAMES, WINDOW, OVERLAP = 180, 120, 24
-#: People who are fitted at once: 120 frames of one take about 0.5 GB.
-BATCH = 8
-#: Frames for which somebody may be unseen and still be shown.
-_SHOWN = 15
+BATCH = 8  # people who are fitted at once: 120 frames of one take about 0.5 GB
+_SHOWN = 15  # frames for which somebody may be unseen and still be shown
 MIN_KEYPOINTS = 4  # keypoints that place a person
 _KEYS = ("root", "rot", "contacts", "betas", "latent_chi2")  # of each person
 _SAID = ("energy", "terms", "reasons", "notes")  # of their fit: energy (E, P) of the named terms
-#: Keypoints of BODY_25 that a fit uses.
-USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
+USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]  # keypoints of BODY_25 that a fit uses
 _MODES = {"shooting": "lean", "rollout": "official"}  # of a fit by each solver: with rollout all of it is the original
 
 
@@ -224,7 +221,6 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
     return camera, [note for note in fitted.notes if "camera assumed" in note]
 
 
-# ------------------------------------------------------------------------------------------------------------- windows
 def _arrays(fitted: testops.Fitted) -> dict[str, Tensor | np.ndarray]:
     """What is kept of a fit: tensors, and in arrays of text what it said."""
     motion, people = fitted.motion, len(fitted.betas)

@@ -15,8 +15,7 @@ from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.skeleton import STANDARD
 
 STATURE = 1.84  # metres: the standard body from sole to crown, as ``body.BodyModel`` draws it
-#: From less of the standard's size on, a fit without ``height`` is doubtful.
-SMALL = 0.75
+SMALL = 0.75  # from less of the standard's size on, a fit without ``height`` is doubtful
 _FRAMES = 5  # in which a bone must be seen
 _FEET = {"heel": 0.015, "big_toe": 0.015, "ankle": 0.08}  # metres above the floor
 _BONES = [("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")]
