@@ -241,11 +241,8 @@ def _film(
 ) -> film.Film:
     count, rate, fps = clip.count, clip.rate, fitted.seen.fps
     at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
-    motions = []
-    for motion in fitted.motions:
-        motion = resample(replace(motion, contacts=None), rate) if rate != motion.fps else motion
-        hold = torch.arange(count).clamp(max=motion.frames - 1)  # what lies behind the last sample
-        motions.append(replace(motion, root=motion.root[hold], rot=motion.rot[hold], contacts=None))
+    played = [resample(replace(motion, contacts=None), rate) for motion in fitted.motions]
+    motions = [m.clip(torch.arange(count).clamp(max=m.frames - 1)) for m in played]  # held behind the last sample
     both = zip(fitted.seen.keypoints, fitted.seen.confidence, strict=True)
     seen = [replace(fitted.seen, keypoints=points[at], confidence=sure[at], fps=rate) for points, sure in both]
     pictures = None if clip.video is None else clip.pictures(range(count))

@@ -126,7 +126,6 @@ def over_footage(
     size, frames = _film_size(camera, area), range(count)
     paper = np.asarray(Image.new("RGB", size, PAPER))
     below = (as_camera(p, camera, size) for p in pictures) if pictures is not None else (paper for _ in frames)
-    how = {"roles": roles, "shown": shown, "fine": False}
     azimuth = float(torch.rad2deg(torch.atan2(camera.rotation[0, 1], camera.rotation[0, 0])))
     wide = max(320, 2 * round(0.4 * size[1]))
     counts = [(each.confidence > 0).sum(-1).float() for each in seen]
@@ -139,7 +138,7 @@ def over_footage(
             side.body(body, motion, role, shown=there, framed=2 * much[k] >= max(much))
         poster = None
         with imageio.get_writer(path, fps=fps, macro_block_size=2, quality=6) as film:
-            drawn = bodies_over(motions, camera, below, frames, size, body, **how)
+            drawn = bodies_over(motions, camera, below, frames, size, body, roles=roles, shown=shown, fine=False)
             name = progress if isinstance(progress, str) else None
             for frame, front in enumerate(tqdm(drawn, name, count, leave=False, disable=not progress)):
                 image, scale = Image.fromarray(front), size[0] / camera.width

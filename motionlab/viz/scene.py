@@ -1,7 +1,5 @@
-"""A scene: figures, bodies, things and trails over a floor, seen through one window, moving in sync.
-
->>> scene = Scene().floor().skeleton(motion, "ours").trail(motion, "left_wrist")  # doctest: +SKIP
->>> scene.image(seconds=0.5)  # doctest: +SKIP
+"""A scene: figures, bodies, things and trails over a floor, seen through one window, moving in sync:
+``Scene().floor().skeleton(motion, "ours").trail(motion, "left_wrist").image(seconds=0.5)``.
 
 Importing this module chooses, once, which window VTK draws into: quiet where there is no display.
 """
