@@ -322,20 +322,17 @@ def overlay(
         side = next((side_of(n) for n in names if side_of(n) != "middle"), "middle")
         return (*tones[side], round(255 * strength))
 
-    for a, b in _limbs(observation.names):
+    names = observation.names  # of BODY_25, BODY_25B and COCO alike: what is joined has both ends
+    torso = _WITH_NECK if {"neck", "mid_hip"} <= set(names) else _WITHOUT
+    for one, other in [ends for ends in _ARMS_LEGS + _MIDDLE + torso if set(ends) <= set(names)]:
+        a, b = names.index(one), names.index(other)
         strength = min(confidence[a], confidence[b])
         if strength > 0:
             ends = [tuple(at[a]), tuple(at[b])]
             pen.line(ends, fill=(255, 255, 255, round(210 * strength)), width=round(1.7 * wide))
-            pen.line(ends, fill=ink(strength, [observation.names[a], observation.names[b]]), width=round(wide))
+            pen.line(ends, fill=ink(strength, [one, other]), width=round(wide))
     for k in np.flatnonzero(confidence > 0):
         for radius, fill in ((1.15, (255, 255, 255, round(230 * confidence[k]))),
-                             (0.8, ink(confidence[k], [observation.names[k]]))):  # fmt: skip
+                             (0.8, ink(confidence[k], [names[k]]))):  # fmt: skip
             pen.circle(tuple(at[k]), radius * wide, fill=fill)
     return np.asarray(Image.alpha_composite(image.convert("RGBA"), layer.reduce(_FINE)).convert("RGB"))
-
-
-def _limbs(names: tuple[str, ...]) -> list[tuple[int, int]]:
-    """The keypoints to join, for BODY_25, BODY_25B and COCO alike: pairs of indices whose names are all there."""
-    torso = _WITH_NECK if {"neck", "mid_hip"} <= set(names) else _WITHOUT
-    return [(names.index(a), names.index(b)) for a, b in _ARMS_LEGS + _MIDDLE + torso if a in names and b in names]

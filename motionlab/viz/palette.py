@@ -31,11 +31,9 @@ def colour(role: str | tuple[float, float, float]) -> tuple[float, float, float]
     Raises:
         KeyError: no such role; lists the roles.
     """
-    if not isinstance(role, str):
-        return to_rgb(role)
-    if role not in ROLE:
+    if isinstance(role, str) and role not in ROLE:
         raise KeyError(f"no role {role!r}; roles are {', '.join(ROLE)}")
-    return to_rgb(ROLE[role])
+    return to_rgb(ROLE[role] if isinstance(role, str) else role)
 
 
 def blend(a: str | tuple, b: str | tuple, share: float) -> tuple[float, float, float]:

@@ -92,7 +92,7 @@ class Scene(contextlib.AbstractContextManager):
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
         self._gone: list[pv.CornerAnnotation] = []  # what a panel says whose people are all out of it
         self._left: np.ndarray | None = None
-        self._floors: set[int] = set()
+        self._floor = False
         self._framing: viewpoint.Framing | None = None
         for index, label in enumerate(panels):
             plotter = self._panel(index)
@@ -123,10 +123,9 @@ class Scene(contextlib.AbstractContextManager):
         update(self.seconds)
         return self
 
-    def floor(self, panel: int | None = None) -> Scene:
-        """Adds a checkerboard of 0.5 m tiles at z = 0 in one panel, or in all."""
-        self._floors |= set(range(len(self.panels))) if panel is None else {panel}
-        self._framing = None
+    def floor(self) -> Scene:
+        """Adds a checkerboard of 0.5 m tiles at z = 0 in all panels."""
+        self._floor, self._framing = True, None
         return self
 
     def skeleton(self, motion: Motion, role: str | tuple = "ours", *, opacity: float = 1.0, **how) -> Scene:
@@ -285,7 +284,7 @@ class Scene(contextlib.AbstractContextManager):
 
     def _arrange(self) -> None:
         self._framing = viewpoint.choose_framing(self._seen, left=self._left, **self._view)
-        for panel in self._floors:
+        for panel in range(len(self.panels)) if self._floor else ():
             tiles = floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
             look = {"scalars": "paint", "rgb": True, "lighting": False, "reset_camera": False, "render": False}
             self._panel(panel).add_mesh(tiles, name=f"floor {panel}", **look)
