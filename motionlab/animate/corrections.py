@@ -254,9 +254,6 @@ def _filled_in(motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int],
     open_ = ~known
     open_[: run[0]] = open_[run[1] :] = False
     rot = rotation.sixd_to_matrix(rotation.matrix_to_sixd(mean(made.rot)))
-    return replace(
-        motion,
-        rot=torch.where(open_[:, :-2, None, None], rot, motion.rot),
-        root=torch.where(open_[:, -2:-1], mean(made.root), motion.root),
-        contacts=torch.where(open_[:, -1:], (mean(made.contacts) > 0.5).to(rot), motion.contacts),
-    )
+    rot = torch.where(open_[:, :-2, None, None], rot, motion.rot)
+    contacts = torch.where(open_[:, -1:], (mean(made.contacts) > 0.5).to(rot), motion.contacts)
+    return replace(motion, rot=rot, root=torch.where(open_[:, -2:-1], mean(made.root), motion.root), contacts=contacts)

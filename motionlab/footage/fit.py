@@ -212,13 +212,10 @@ def _write(
         standard = retarget(replace(motion, contacts=None), proportions="standard", leg=_LEG)
         amass.save(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
         row["files"] = {"bvh": f"{stem}.bvh", "amass": f"{stem}.npz"}
-        row["amass"] = {
-            "betas": "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand",
-            "scale": standard.scale,
-            "raised_m": standard.floor,
-            "says": f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet "
-            "stand on z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0",
-        }
+        betas = "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand"
+        says = (f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet stand on "
+                "z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0")  # fmt: skip
+        row["amass"] = {"betas": betas, "scale": standard.scale, "raised_m": standard.floor, "says": says}
         files += row["files"].values()
     names = [f"person {each}" for each in ids]
     gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)

@@ -275,19 +275,11 @@ class Scene(contextlib.AbstractContextManager):
 
     def label(self, point, text: str, *, panel: int = 0) -> Scene:
         """Adds a word that stays upright at a point (3,) of the world."""
-        self._panel(panel).add_point_labels(
-            np.asarray(point, float)[None], [text], font_size=max(round(self.size[1] / 22), 10), text_color=INK,
-            font_family="arial", bold=False, show_points=False, shape=None, always_visible=True, reset_camera=False,
-            justification_horizontal="center", justification_vertical="top",
-        )  # fmt: skip
+        look = {"text_color": INK, "font_family": "arial", "bold": False, "show_points": False, "shape": None,
+                "always_visible": True, "reset_camera": False, "font_size": max(round(self.size[1] / 22), 10),
+                "justification_horizontal": "center", "justification_vertical": "top"}  # fmt: skip
+        self._panel(panel).add_point_labels(np.asarray(point, float)[None], [text], **look)
         return self
-
-    def _arrange(self) -> None:
-        self._framing = viewpoint.choose_framing(self._seen, left=self._left, **self._view)
-        for panel in range(len(self.panels)) if self._floor else ():
-            tiles = floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
-            look = {"scalars": "paint", "rgb": True, "lighting": False, "reset_camera": False, "render": False}
-            self._panel(panel).add_mesh(tiles, name=f"floor {panel}", **look)
 
     def at(self, seconds: float) -> Scene:
         """Moves everything to a time."""
@@ -296,7 +288,11 @@ class Scene(contextlib.AbstractContextManager):
         for update in self._updates:
             update(self.seconds)
         if fresh:
-            self._arrange()
+            self._framing = viewpoint.choose_framing(self._seen, left=self._left, **self._view)
+            for panel in range(len(self.panels)) if self._floor else ():
+                tiles = floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
+                look = {"scalars": "paint", "rgb": True, "lighting": False, "reset_camera": False, "render": False}
+                self._panel(panel).add_mesh(tiles, name=f"floor {panel}", **look)
         if fresh or turned or self._view["follow"]:
             self._aim()
         for seen, words, renderer in zip(self._seen, self._gone, self.plotter.renderers, strict=True):
