@@ -68,10 +68,9 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
     player = Player(scene, seconds, backend, steps=max(last, 1), words=words)
     player.hand.layout, player.clock.layout = {"width": "auto", "margin": "0"}, {"width": "15em", "margin": "2px 12px"}
     strip = ipywidgets.HTML(layout={"width": "auto", "margin": "0"})
-    before, after = (
-        ipywidgets.Button(icon=f"step-{way}", tooltip=f"to the {name} kept frame", layout={"width": "3em"})
-        for way, name in (("backward", "previous"), ("forward", "next"))
-    )
+    narrow = {"width": "3em"}
+    before = ipywidgets.Button(icon="step-backward", tooltip="to the previous kept frame", layout=narrow)
+    after = ipywidgets.Button(icon="step-forward", tooltip="to the next kept frame", layout=narrow)
     keep = ipywidgets.Button(layout={"width": "11em"})
     frames = ipywidgets.Text(value="0,last", continuous_update=False, placeholder="as 0,45,60-80,last", layout=whole)
     method = ipywidgets.Dropdown(options=[("default", ""), *((m, m) for m in filling.METHODS)], layout=whole)

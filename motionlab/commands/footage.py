@@ -146,13 +146,7 @@ def _is_fitted(clip: tuple, how: dict[str, object]) -> bool:
 
 def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Path | None, Path | None]]:
     """Returns the clips of two folders, by name: keypoints (None: still to be found) and video (None: there is none).
-
-    A clip's keypoints are a .json, .csv or .npz file, or a folder; its video is a file or a folder of images. They
-    belong together where the keypoints are called as the video is, or begin so: walk.mp4 and walk_keypoints.json.
-
-    Raises:
-        DataError: no such folder, nothing in it, a video without keypoints or the other way round, or two for one.
-    """
+    Keypoints belong to a video where they are called as it is, or begin so: walk.mp4 and walk_keypoints.json."""
     from motionlab.io.video import PICTURES
 
     seen = _named(keypoints, _TABLES, _PER_FRAME)

@@ -113,10 +113,9 @@ QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), guesses=True, sh
 def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     """Fits people (P, T, 25, 2), keypoints of BODY_25 at 30 fps, who share one static camera.
 
-    Of another ``height`` than an adult's they are fitted as adults in a scene that is as much larger, see ``stature``.
-    Ctrl-C keeps the best so far of footage in one window; of longer footage it keeps the windows that are done.
-
-    Of each at least one frame shows ``MIN_KEYPOINTS`` of the keypoints that a fit uses.
+    Of each at least one frame shows ``MIN_KEYPOINTS`` of the keypoints that a fit uses. Of another ``height`` than an
+    adult's they are fitted as adults in a scene that is as much larger, see ``stature``. Ctrl-C keeps the best so far
+    of footage in one window; of longer footage it keeps the windows that are done.
 
     Raises:
         KeyboardInterrupt: stopped between windows.

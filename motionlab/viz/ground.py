@@ -69,9 +69,7 @@ class Shadow:
         self.square = pv.PolyData(np.zeros((4, 3)), [4, 0, 1, 2, 3])
         self.square.active_texture_coordinates = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
         self.pixels = pv.ImageData(dimensions=(_CELLS, _CELLS, 1))
-        rgba = np.zeros((_CELLS * _CELLS, 4), np.uint8)
-        rgba[:, :3] = (36, 40, 52)
-        self.pixels.point_data.set_scalars(rgba, "rgba")
+        self.pixels.point_data.set_scalars(np.tile(np.array([36, 40, 52, 0], np.uint8), (_CELLS**2, 1)), "rgba")
         texture = pv.Texture(self.pixels)
         texture.interpolate = True
         self.actor = plotter.add_mesh(self.square, texture=texture, lighting=False, reset_camera=False)

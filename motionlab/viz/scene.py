@@ -91,9 +91,7 @@ class Scene(contextlib.AbstractContextManager):
         self._hand: tuple[np.ndarray, np.ndarray] | None = None  # eye from what it looks at, and that from the subject
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
         self._gone: list[pv.CornerAnnotation] = []  # what a panel says whose people are all out of it
-        self._left: np.ndarray | None = None
-        self._floor = False
-        self._framing: viewpoint.Framing | None = None
+        self._left, self._framing, self._floor = None, None, False
         for index, label in enumerate(panels):
             plotter = self._panel(index)
             plotter.set_background(PAPER)

@@ -196,9 +196,9 @@ def _half_angle(aspect: float) -> float:
 def match_camera(eye: pv.Camera, camera: Camera) -> None:
     """Makes a VTK camera see what a pinhole camera sees: any focal lengths, skew and principal point.
 
-    A pixel (u, v) of a w x h image is x = 2u/w - 1, y = 1 - 2v/h on VTK's screen, whatever its size in
-    pixels, so a window of the same shape shows the same picture at any scale. VTK's own view angle knows
-    neither skew nor two focal lengths; hence the explicit projection matrix.
+    A pixel (u, v) of a w x h image is x = 2u/w - 1, y = 1 - 2v/h on VTK's screen, whatever its size in pixels, so a
+    window of the same shape shows the same picture at any scale. VTK's own view angle knows neither skew nor two focal
+    lengths; hence the explicit projection matrix.
     """
     k, r, centre = array(camera.intrinsics), array(camera.rotation), array(camera.centre)
     w, h = camera.width, camera.height
