@@ -87,12 +87,11 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
     def attempt(act: Callable[[], Sequence[str]]) -> bool:
         try:
             say(*act())
+            return True
         except Exception as error:  # for the person: on the kernel's loop nobody else would hear of it
             typed = isinstance(error, ValueError)  # or chosen
             say(str(error) if typed else f"{type(error).__name__}: {error}", wrong=True)
-        else:
-            return True
-        return False
+            return False
 
     def read() -> set[int]:
         return filling.frames_named(frames.value, motion.frames, "frames kept")

@@ -146,8 +146,7 @@ def prepare() -> bool:
     rendering = _check_rendering()
     if not rendering.ok and shutil.which("apt-get") and os.geteuid() == 0:
         print(f"rendering: {rendering.found}; installing {scene.RENDERING_PACKAGES}", flush=True)
-        quiet = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
-        subprocess.run(["sh", "-c", scene.RENDERING_REMEDY], check=False, env=quiet)
+        subprocess.run(["env", "DEBIAN_FRONTEND=noninteractive", "sh", "-c", scene.RENDERING_REMEDY], check=False)
         rendering = _check_rendering()
     if not rendering.ok:
         print(f"rendering: {rendering.found}. Run this as root, then again what you ran:\n  {scene.RENDERING_REMEDY}")
