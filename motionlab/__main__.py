@@ -32,12 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     """The commands; what takes seconds to import is imported by the command that needs it."""
-    parser = argparse.ArgumentParser(
-        prog="motionlab", description="Draws, converts, mends and makes human motion, and finds it in videos.",
-        epilog="example:\n  motionlab show walk.bvh --out walk.mp4\n\n"
-        "motionlab COMMAND --help says what a command takes, with an example of its own.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    parser = argparse.ArgumentParser(prog="motionlab", formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.description = "Draws, converts, mends and makes human motion, and finds it in videos."
+    parser.epilog = "example:\n  motionlab show walk.bvh --out walk.mp4\n\n"
+    parser.epilog += "motionlab COMMAND --help says what a command takes, with an example of its own."
     commands = parser.add_subparsers(required=True, metavar="COMMAND", title="commands")
     add = partial(add_command, commands)
 

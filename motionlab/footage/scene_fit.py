@@ -175,10 +175,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     if config.draws and not draws:
         why = f"more than {MAX_FRAMES / 30:g} s is fitted in pieces" if many else "the fit was stopped"
         notes += [f"no other motions are drawn: {why}"]
-    return SceneFit(
-        tuple(motions), shown, seen, camera, latent_chi2, energy, len(starts), tuple(reasons),
-        tuple(dict.fromkeys(notes)), stopped, tuple(draws),
-    )  # fmt: skip
+    said = tuple(reasons), tuple(dict.fromkeys(notes)), stopped, tuple(draws)
+    return SceneFit(tuple(motions), shown, seen, camera, latent_chi2, energy, len(starts), *said)
 
 
 def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> SceneFit:

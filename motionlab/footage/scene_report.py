@@ -154,11 +154,10 @@ def page(record: Record, poster: bytes = b"") -> str:
     curves = [row["pixels"]["by_time"] for row in record["people"]]
     top = max((value for curve in curves for value in curve if value is not None), default=1.0) or 1.0
     last = max(1, len(curves[0]) - 1)
-    people = [
-        {**row, "ink": ROLE[PEOPLE[k % len(PEOPLE)]], "doubt": _doubt(row), "unknown": not_known(row),
-         "facts": _facts(row), "path": _path(curve, (_WIDE - 56) / last, 154 / top)}
-        for k, (row, curve) in enumerate(zip(record["people"], curves, strict=True))
-    ]  # fmt: skip
+    people = []
+    for k, (row, curve) in enumerate(zip(record["people"], curves, strict=True)):
+        shown = {"ink": ROLE[PEOPLE[k % len(PEOPLE)]], "path": _path(curve, (_WIDE - 56) / last, 154 / top)}
+        people.append(row | shown | {"doubt": _doubt(row), "unknown": not_known(row), "facts": _facts(row)})
     return _PAGE.render(
         name=Path(footage["path"] if footage else keypoints["path"]).name, record=record, about=about, people=people,
         poster=base64.b64encode(poster).decode(), listed=_LISTED, wide=_WIDE, top=top, end=last / record["fps"],
