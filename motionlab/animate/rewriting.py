@@ -297,8 +297,7 @@ def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarr
 
 WRITERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save, ".npy": humanml.save}
 REWRITERS = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
-#: What is said of a file that is written anew.
-_ANEW = {
+_ANEW = {  # what is said of a file that is written anew
     ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
     ".npz": "written anew as parameters of SMPL-H, in double precision",
     ".npy": "written anew as the places of 22 joints at 20 frames per second, as HumanML3D has them",

@@ -59,9 +59,8 @@ class Clip:
     def _rows(self) -> np.ndarray:
         """The keypoints' frame of every frame of the film."""
         seconds = np.arange(self.count) / self.rate
-        if self.times is None:
-            return np.array([round(each) for each in seconds * self.footage.fps])
-        return _frames_at(self.times, seconds)
+        even = self.times is None
+        return np.rint(seconds * self.footage.fps).astype(int) if even else _frames_at(self.times, seconds)
 
     def pictures(self, frames: Sequence[int]) -> Iterator[np.ndarray]:
         """Returns the pictures of frames of the film, as a camera without distortion would have taken them."""
@@ -79,19 +78,16 @@ class Clip:
     def drift(self) -> np.ndarray:
         """Computes how far the background moved (N,) in ``samples``, shares of the image's width; see
         ``video.background_drift``."""
-        frames = self.samples
-        boxes: list[list[tuple[float, ...]]] = []
         scale = self.video.size[0] / self.size[0] if self.size else 1.0
-        for frame in frames:
-            at, here = self._rows[frame], []
+        boxes: list[list[tuple[float, ...]]] = [[] for _ in self.samples]
+        for at, here in zip(self._rows[list(self.samples)], boxes, strict=True):
             for track in self.footage.tracks:
                 near = np.abs(track.frames - at)
                 points = track.points[near.argmin()]
                 points = points[points[:, 2] > 0, :2] * scale
                 if near.min() <= self.footage.fps / 2 and len(points):
                     here.append((*points.min(0), *points.max(0)))
-            boxes.append(here)
-        return video.background_drift(self.pictures(frames), boxes)
+        return video.background_drift(self.pictures(self.samples), boxes)
 
 
 def _frames_at(times: np.ndarray, seconds: np.ndarray) -> np.ndarray:

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from matplotlib.colors import to_rgb
 
-#: What a thing is in the argument, and the one colour it has in all notebooks.
-ROLE = {
+ROLE = {  # what a thing is in the argument, and the one colour it has in all notebooks
     "truth": "#1b1b1b",
     "observation": "#8a8a8a",
     "baseline": "#e69f00",
