@@ -154,9 +154,7 @@ def _make(clip: tuple, options: argparse.Namespace) -> list[str]:
     return notes
 
 
-def _made(
-    source: Path, target: Path, options: argparse.Namespace, say: Callable[[str], None], progress: bool = False
-) -> tuple[Motion, Motion]:
+def _made(source: Path, target: Path, options, say: Callable, progress: bool = False) -> tuple[Motion, Motion]:
     """Reads a motion, makes another of it and writes that; returns both, and says what was guessed, and how."""
     from motionlab.animate.rewriting import check_target, write_back
     from motionlab.retarget import retarget_onto

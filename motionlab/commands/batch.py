@@ -115,10 +115,7 @@ def run_clips(
     """Runs a command on every clip that is not finished; prints what was done, and every note once.
 
     function: of a clip, to its notes; a module's function or a partial of one. compared: whether ``finished`` asks for
-    the same options. Returns 1 where a clip failed, else 0.
-
-    Raises:
-        DataError: --jobs below 1 or with --cluster, or no cluster. MissingData: the package that speaks to one.
+    the same options. Returns 1 where a clip failed, else 0. Raises what :func:`run_many` does.
     """
     clips = [(name, *(path and path.resolve() for path in paths)) for name, *paths in clips]  # for other machines
     jobs = 1 if options.jobs is None else options.jobs

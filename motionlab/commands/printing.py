@@ -7,9 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 
-def add_command(
-    commands: argparse._SubParsersAction, name: str, text: str, example: str, run: Callable | None = None
-) -> argparse.ArgumentParser:
+def add_command(commands, name: str, text: str, example: str, run: Callable | None = None) -> argparse.ArgumentParser:
     """Adds a command: what it does in a line, the words of one example, and what runs it, options -> exit status."""
     command = commands.add_parser(name, help=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     command.description = f"{text[0].upper()}{text[1:]}."

@@ -251,9 +251,7 @@ def _film(
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
-def _record(
-    clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, height: float | None
-) -> dict[str, object]:
+def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, height: float | None) -> dict:
     """What there is to say, as plain numbers; see ``scene_report.page``."""
     camera, read = fitted.camera, clip.footage
     pixels = torch.stack([project(camera, landmarks_of(motion))[0] for motion in fitted.motions])

@@ -201,9 +201,7 @@ class Player:
         self.clock.value = self._words(step)
 
 
-def explore(
-    draw: Callable[..., np.ndarray | Figure | Film], *, units: Mapping[str, str] | None = None, **knobs: object
-):
+def explore(draw: Callable, *, units: Mapping[str, str] | None = None, **knobs: object):
     """Builds an experiment with knobs: whenever one is turned, ``draw(**values)`` draws the picture anew.
 
     Where drawing cannot keep up, values that newer ones have overtaken are skipped. An error is shown below the

@@ -295,9 +295,7 @@ def stack_pictures(rows: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate(list(rows))
 
 
-def overlay(
-    observation: Observation2D, picture, frame: int, role: str | tuple = "stage2", width: float = 4.0
-) -> np.ndarray:
+def overlay(observation: Observation2D, picture, frame: int, role="stage2", width: float = 4.0) -> np.ndarray:
     """Draws one frame of keypoints over a picture (H, W, 3) uint8: confidence is opacity, left light, right dark.
 
     picture: of the observation's camera at any scale; without a camera its pixels are the observation's. width: of a

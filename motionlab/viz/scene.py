@@ -212,9 +212,7 @@ class Scene(contextlib.AbstractContextManager):
                 self._figures[panel] = (held, len(self._seen[panel]))
         return self._watch(panel, positions if frame is None else positions[[first]], motion.fps) if framed else self
 
-    def mesh(
-        self, vertices, faces, paint: str | tuple = LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0
-    ) -> Scene:
+    def mesh(self, vertices, faces, paint=LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0) -> Scene:
         """Adds a mesh of vertices (V, 3), metres, and faces (F, 3) that stands still: a table."""
         points = np.array(vertices, float)
         mesh = pv.PolyData.from_regular_faces(points, np.asarray(faces))
@@ -229,9 +227,7 @@ class Scene(contextlib.AbstractContextManager):
         self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, at[None])
 
-    def ellipsoid(
-        self, centres, shapes, fps: float, role: str | tuple = "ours", *, shown=None, panel: int = 0
-    ) -> Scene:
+    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, shown=None, panel: int = 0) -> Scene:
         """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves.
 
         ``shown`` (T,) says in which frames it is there; by default in all.
