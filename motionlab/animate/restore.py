@@ -222,8 +222,7 @@ def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> An
     if frames > WINDOW:
         motion = motion.clip(torch.arange(frames).clamp(max=WINDOW - 1))
         known = (torch.arange(frames) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
-        missing = torch.zeros(len(STANDARD), dtype=torch.bool)
-        motion = network(draws, missing, progress)(motion, known)
+        motion = network(draws, torch.zeros(len(STANDARD), dtype=torch.bool), progress)(motion, known)
     motion = motion.cut(0, frames)
     if plant:
         motion = lock_feet(motion.clip(None), slow=False).clip(0)

@@ -91,9 +91,7 @@ class SceneFitConfig:
     @property
     def schedule(self) -> testops.Schedule | None:
         """The work of a fit; None is the official configuration."""
-        if self.quick:
-            return QUICK_WORK
-        return FULL_WORK if self.solver == "shooting" else None
+        return QUICK_WORK if self.quick else FULL_WORK if self.solver == "shooting" else None
 
     def fit(self, seen: Observation2D, camera: Camera | None, floor: str | None, **how) -> testops.Fitted:
         """Fits a batch under one camera."""

@@ -142,8 +142,7 @@ def slider(
 
 
 def _checked(backend: str | None) -> str:
-    if backend is None:
-        backend = "trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture"
+    backend = backend or ("trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture")
     if backend not in BACKENDS:
         raise ValueError(f"no backend {backend!r}; backends are {', '.join(BACKENDS)}")
     return backend
