@@ -170,8 +170,7 @@ def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animat
     given, _ = on_model_body(Rig.of(motion, motion, nothing).at_model_rate()[0])
     which = torch.zeros(len(STANDARD), dtype=torch.bool)
     which[STANDARD.indices([owners[j] for j in joints])] = True
-    made = body.corrected(lambda *_: _from_handles(given, which))
-    made = body.to_own_rig(made, plant=plant)
+    made = body.to_own_rig(body.corrected(lambda *_: _from_handles(given, which)), plant=plant)
     targets = motion.positions[:, joints]
     reached = reach_targets(made, [motion.skeleton.names[j] for j in joints], targets, steps=40)
     far = (reached.positions[:, joints] - targets).norm(dim=-1)

@@ -171,5 +171,4 @@ def _compile_loops() -> None:
     from motionlab.humor.state import STATE
 
     z = torch.zeros(1, 1, 48, requires_grad=True)
-    rolled, _ = steered_rollout(Cvae(32), torch.zeros(1, STATE), z)
-    rolled.states.sum().backward()
+    steered_rollout(Cvae(32), torch.zeros(1, STATE), z)[0].states.sum().backward()

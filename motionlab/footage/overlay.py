@@ -12,7 +12,6 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab import viz
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
@@ -63,11 +62,9 @@ def bodies_over(
     """Draws the skins of people through their camera over pictures, one per frame; whoever is nearer hides the other.
 
     motions: one clip per person, at one rate. pictures: (H, W, 3) uint8, those of ``frames`` in their order, of the
-    size (width, height) and the camera's shape. shown: (P, T) in which frames there is somebody. fine: smooth edges;
-    where the processor draws, that takes three times as long.
+    size (width, height) and the camera's shape. shown: (P, T) in which frames there is somebody. fine: smooth edges.
     """
-    with Scene(size, camera=camera) as scene:
-        _edges(scene, fine)
+    with Scene(size, camera=camera, fine=fine) as scene:
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
             scene.body(body, motion, role, shadow=0, shown=None if shown is None else shown[k])
         for frame, picture in zip(frames, pictures, strict=True):
@@ -77,12 +74,6 @@ def bodies_over(
             share = _OPAQUE * layer[there, 3:] / 255.0
             mixed[there] = share * layer[there, :3] + (1 - share) * picture[there]
             yield mixed
-
-
-def _edges(scene: Scene, fine: bool) -> None:
-    if not fine and not viz.draft:
-        scene.plotter.disable_anti_aliasing()
-        scene.plotter.render_window.SetMultiSamples(0)
 
 
 def labelled(picture: np.ndarray, text: str) -> np.ndarray:
@@ -130,8 +121,7 @@ def over_footage(
     wide = max(320, 2 * round(0.4 * size[1]))
     counts = [(each.confidence > 0).sum(-1).float() for each in seen]
     much = [float(n[n > 0].median()) if n.any() else 0.0 for n in counts] or [1.0] * len(motions)
-    with Scene((wide, size[1]), azimuth=azimuth, panels=("from the camera's right",)) as side:
-        _edges(side, fine=False)
+    with Scene((wide, size[1]), azimuth=azimuth, panels=("from the camera's right",), fine=False) as side:
         side.floor()
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
             there = None if shown is None else shown[k]

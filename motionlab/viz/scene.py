@@ -56,6 +56,7 @@ class Scene(contextlib.AbstractContextManager):
         azimuth, elevation: degrees of the eye around and above the subject; azimuth from the motion by default.
         follow: the eye travels with the subject instead of standing far enough away.
         footroom: share of the picture left free below.
+        fine: smooth edges; where the processor draws, that takes three times as long.
 
     Time is in seconds, so motions of different frame rates stay in sync; past its end a motion holds still.
     A ``role`` is a name of ``palette.ROLE`` or a colour (r, g, b) in 0..1.
@@ -74,6 +75,7 @@ class Scene(contextlib.AbstractContextManager):
         elevation: float = 11.0,
         follow: bool = False,
         footroom: float = 0.04,
+        fine: bool = True,
     ) -> None:
         size = size or ((camera.width, camera.height) if camera else (640, 480))
         if camera and abs(size[0] / len(panels) * camera.height / camera.width - size[1]) > 1:
@@ -83,7 +85,7 @@ class Scene(contextlib.AbstractContextManager):
         self._view |= {"follow": follow, "headroom": 0.11 if any(panels) else 0.02, "footroom": footroom}
         how = {"window_size": list(size), "border": False, "lighting": "none"}
         self.plotter = pv.Plotter(off_screen=True, shape=(1, len(panels)), **how)
-        if viz.draft:
+        if viz.draft or not fine:
             self.plotter.render_window.SetMultiSamples(0)
         self._updates: list[Callable[[float], None]] = []
         self._figures: dict[int, tuple[list[Motion], int]] = {}  # panel -> motion of its last one, place in _seen
@@ -95,7 +97,7 @@ class Scene(contextlib.AbstractContextManager):
         for index, label in enumerate(panels):
             plotter = self._panel(index)
             plotter.set_background(PAPER)
-            if not viz.draft:
+            if fine and not viz.draft:
                 plotter.enable_anti_aliasing("ssaa", all_renderers=False)
             mannequin.add_lights(plotter)
             self._gone.append(mannequin.add_words(plotter, "left the picture", "lower_right", max(size[1] / 60, 6)))
