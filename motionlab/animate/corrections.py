@@ -92,8 +92,7 @@ class Rig:
         joints = replace(found.motion, root=found.motion.root + up, contacts=None, notes=())
         mapped = {STANDARD.index(name): own for name, own in body.joints.items()}
         known = torch.zeros(motion.frames, len(STANDARD) + 2, dtype=torch.bool)
-        for j, own in mapped.items():
-            known[:, j] = keep.rot[:, own]
+        known[:, list(mapped)] = keep.rot[:, list(mapped.values())]
         known[:, -2], known[:, -1] = keep.rot[:, 0], keep.frames
         return cls(motion, drawn, keep, joints, found, lift, mapped, known)
 
@@ -103,7 +102,6 @@ class Rig:
         feet = "feet that stand are held in place" if plant else "feet that stand may slide: they are not planted"
         return (f"joints recognised: {len(self.mapped)} of {len(STANDARD)}{missing}", feet)
 
-    # -------------------------------------------------------------------------------------------------- a model
     def corrected(self, fill: Fill, *, rate: float = FPS) -> Motion:
         """Computes the 22 joints with what is not kept filled in by ``fill``, at their own rate again.
 
@@ -148,7 +146,6 @@ class Rig:
             known = known.long().scatter_reduce(0, column, self.known.long(), "amax").bool()
         return with_contacts(slow), known
 
-    # ------------------------------------------------------------------------------------------------ and back
     def to_own_rig(self, made: Motion, *, plant: bool) -> Motion:
         """Computes the own motion with the turns and shifts by which ``made`` differs from ``joints``; what is kept is
         the motion's."""
@@ -171,17 +168,13 @@ class Rig:
 
     def _feet_locked(self, made: Motion) -> Motion:
         """Feet that stand stay in place, between frames whose legs are known; between kept frames they step."""
-        labelled = made if made.contacts is not None else with_contacts(made)
-        known = self.known[:, _LEGS].all(-1)
-        contacts = torch.where(known[:, None], with_contacts(made).contacts, labelled.contacts)
+        known, found = self.known[:, [0, *STANDARD.indices(LEGS), len(STANDARD)]].all(-1), with_contacts(made).contacts
+        contacts = found if made.contacts is None else torch.where(known[:, None], found, made.contacts)
         some, step = replace(made, contacts=contacts).clip(None), bool(self.keep.frames.any())
         return replace(made, rot=lock_feet(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
 
 
-_LEGS = [
-    0, *(STANDARD.index(f"{side}_{part}") for side in ("left", "right") for part in ("hip", "knee", "ankle")),
-    len(STANDARD),
-]  # fmt: skip
+LEGS = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
 
 
 def _hips(motion: Motion) -> Tensor:
@@ -261,9 +254,6 @@ def _filled_in(motion: Motion, known: Tensor, fill: Fill, starts: Sequence[int],
     open_ = ~known
     open_[: run[0]] = open_[run[1] :] = False
     rot = rotation.sixd_to_matrix(rotation.matrix_to_sixd(mean(made.rot)))
-    return replace(
-        motion,
-        rot=torch.where(open_[:, :-2, None, None], rot, motion.rot),
-        root=torch.where(open_[:, -2:-1], mean(made.root), motion.root),
-        contacts=torch.where(open_[:, -1:], (mean(made.contacts) > 0.5).to(rot), motion.contacts),
-    )
+    rot = torch.where(open_[:, :-2, None, None], rot, motion.rot)
+    contacts = torch.where(open_[:, -1:], (mean(made.contacts) > 0.5).to(rot), motion.contacts)
+    return replace(motion, rot=rot, root=torch.where(open_[:, -2:-1], mean(made.root), motion.root), contacts=contacts)

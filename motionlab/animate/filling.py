@@ -3,16 +3,14 @@
     keep = key_mask(motion, frames={0, 45, 90})
     made = inbetween(motion, keep)            # made.motion, made.notes
 
-What is kept stays bit for bit. The rest is first drawn by curves on the motion's own joints; a network then corrects
-them on the 22 standard joints, at its own rate and in its own windows, and feet that stand are planted. Only the turn
-by which a standard joint is corrected goes back to the joint that it stands for: no pose is retargeted there and back.
+What is not kept is first drawn by curves on the motion's own joints; a network then corrects them (``corrections``),
+and feet that stand are planted.
 
 Source: thesis 4.2.1 (in-betweening, occluded legs), 4.4.1 (seams); inertialisation (Bollo 2018) for the curves.
 """
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -22,24 +20,19 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.animate.corrections import Fill, KeyMask, Rig, by_windows, restore_keys
-from motionlab.body import BodyModel
+from motionlab.animate.corrections import LEGS, Fill, KeyMask, Rig, by_windows, restore_keys
 from motionlab.diffusion import completer
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion, runs
-from motionlab.retarget import retarget
 from motionlab.rigs import find_joints
-from motionlab.skeleton import STANDARD
+from motionlab.skeleton import BALLS, STANDARD
 
 METHODS = ("network", "curves")
 NETWORK, DRAWS = "completer", "completer_draws"  # of one answer, and of draws
-GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_shoulder")} | {
-    f"{side}_{limb}": (f"{side}_{top}",)
-    for side in ("left", "right") for limb, top in (("leg", "hip"), ("arm", "shoulder"))
-}  # fmt: skip
-_LEGS = {f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle", "foot")}
+GROUPS = {"legs": ("left_hip", "right_hip"), "arms": ("left_shoulder", "right_shoulder")}
+GROUPS |= {f"{side}_{limb}": (f"{side}_{top}",) for side in ("left", "right")
+           for limb, top in (("leg", "hip"), ("arm", "shoulder"))}  # fmt: skip
 _FADE = (2.0, 0.8)  # seconds over which the velocity at a key carries on, of the root and of joints
-
 _MOST = 40  # frames of a window that a gap should take: a longer one is shown to the network faster than it is
 _MEASURED = 2.5  # seconds of the longest gaps that were measured, and a little
 
@@ -116,7 +109,6 @@ def found_joints(motion: Motion, words: Sequence[str]) -> set[int]:
     return found
 
 
-# ------------------------------------------------------------------------------------------------ what is asked
 def inbetween(
     motion: Motion,
     keep: KeyMask,
@@ -181,7 +173,7 @@ def completed(
     keep = KeyMask.of(motion, hidden=hide)
     body = Rig.of(motion, curves(motion, keep), keep)
     why = "how close these joints come to the true ones was not measured"
-    if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in _LEGS}:
+    if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in (*LEGS, *BALLS)}:
         why = "hidden legs came out 13 cm off on 15 people whom it had never seen"
     made = body.corrected(network(seed, body.missing_joints, progress))
     notes = (f"method: network; {why}", *_of_draw(seed), "the floor is taken to be at height 0", *body.notes(plant))
@@ -225,7 +217,6 @@ def _unkept(frames: Tensor) -> tuple[int, int]:
     return gap, max(begin * (end - begin > 1), (len(frames) - stop) * (stop - start > 1))
 
 
-# ------------------------------------------------------------------------------------------------------ curves
 def curves(motion: Motion, keep: KeyMask, fade: tuple[float, float] = _FADE) -> Motion:
     """Computes a motion (T) whose frames between kept ones lie on smooth curves on its own joints; no other is read.
 
@@ -278,40 +269,8 @@ def _fading(since: Tensor, width: Tensor, fade: float) -> Tensor:
     return n * (u**3 - 2 * u**2 + u)
 
 
-# ------------------------------------------------------------------------------------------------------ widget
-def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | str | None = "anny", **guided: str):
-    """Builds the widget of ``inbetween`` for a file: see ``viz.keyframes.keyframe_editor``.
+def editor(path: str | Path, backend: str | None = None, **how):
+    """Builds the widget of :func:`inbetween` for a file; see ``keyframes.editor``."""
+    from motionlab.animate import keyframes  # it draws: imported by who opens it
 
-    body: whose skin is shown; None, or joints that are not known: a figure. guided: unit, up of a BVH.
-
-    Raises:
-        DataError: not a readable motion.
-    """
-    from motionlab import io
-    from motionlab.animate.keyframes import keyframe_editor
-    from motionlab.animate.rewriting import write_back
-
-    path = Path(path).resolve()
-    motion = io.load(path, **guided)
-
-    def read(keys: str) -> set[int]:
-        return frames_named(keys, motion.frames, "frames kept")
-
-    def fill(frames: set[int], joints: list[str], method: str) -> tuple[Motion, tuple[str, ...]]:
-        found = inbetween(motion, key_mask(motion, frames, joints), method=method or None)
-        return found.motion, found.notes
-
-    def export(made: Motion, name: str) -> str:
-        target = Path(name).resolve()
-        return f"{target} is written: {write_back(path, target, motion, made)}"
-
-    def dress(made: Motion) -> Motion:
-        shown = retarget(made, floor=False).motion
-        return replace(shown, root=shown.root + torch.tensor([0.0, 0.0, lift]))
-
-    how = {"methods": METHODS, "target": f"{path.stem}_inbetween{path.suffix}", "backend": backend}
-    if body:
-        with contextlib.suppress(DataError):
-            lift = retarget(motion).floor
-            how |= {"body": BodyModel.from_anny() if isinstance(body, str) else body, "dress": dress}
-    return keyframe_editor(motion, read, fill, export, joints=(*GROUPS, *motion.skeleton.names), **how)
+    return keyframes.editor(path, backend, **how)

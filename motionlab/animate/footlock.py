@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import torch
 
-from motionlab.animate.corrections import KeyMask, Rig
+from motionlab.animate.corrections import LEGS, KeyMask, Rig
 from motionlab.animate.filling import Animated
 from motionlab.diffusion.foot_locking import standing_feet
 from motionlab.errors import DataError
@@ -18,7 +18,6 @@ from motionlab.motion import Motion
 from motionlab.retarget import retarget
 from motionlab.skeleton import ANKLES, BALLS
 
-_LEG = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
 _STAYS = 1e-4  # metres: feet that locking moves by less stay to the bit, and their legs
 
 
@@ -50,5 +49,5 @@ def locked(motion: Motion) -> Animated:
 def _legs_open(motion: Motion, lift: float | None = None) -> Rig:
     """The motion on 22 joints, of which all but the legs are kept."""
     found = retarget(motion)
-    keep = KeyMask.of(motion, hidden=[motion.skeleton.index(found.names[name]) for name in _LEG])
+    keep = KeyMask.of(motion, hidden=[motion.skeleton.index(found.names[name]) for name in LEGS])
     return Rig.of(motion, motion, keep, lift=found.floor if lift is None else lift)

@@ -2,57 +2,53 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import groupby
+from pathlib import Path
 
+import torch
+
+from motionlab import io
+from motionlab.animate import filling
+from motionlab.animate.rewriting import write_back
 from motionlab.body import BodyModel
+from motionlab.errors import DataError
 from motionlab.motion import Motion
+from motionlab.retarget import retarget
 from motionlab.viz.interactive import Player, _newest
 from motionlab.viz.movie import stage
 from motionlab.viz.palette import ROLE, TILE
 
 _SIZE = (840, 420)
-_WRONG = "#b3261e"
 
 
-def keyframe_editor(
-    motion: Motion,
-    read: Callable[[str], Collection[int]],
-    fill: Callable[[Collection[int], list[str], str], tuple[Motion, Sequence[str]]],
-    export: Callable[[Motion, str], str],
-    *,
-    dress: Callable[[Motion], Motion] = lambda motion: motion,
-    body: BodyModel | None = None,
-    joints: Sequence[str] = (),
-    methods: Sequence[str] = (),
-    keys: str = "0,last",
-    target: str = "inbetween.bvh",
-    backend: str | None = None,
-):
-    """Builds an editor: the motion beside what is made between its keys, one slider that moves and plays both frame by
-    frame over a strip of the keys, what is kept, a method, and a button that exports. Whatever is changed is filled in
-    and drawn anew at once. What goes wrong is said below in red; the picture stays, and nothing is exported until it
-    is right.
+def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | str | None = "anny", **guided: str):
+    """Builds an editor of a file: the motion beside what is made between its keys (``filling.inbetween``), one slider
+    that moves and plays both frame by frame over a strip of the keys, what is kept, a method, and a button that
+    exports. Whatever is changed is filled in and drawn anew at once. What goes wrong is said below in red; the picture
+    stays, and nothing is exported until it is right.
 
-    Args:
-        read: keys as text to frame numbers. fill: (frames that stay, joints that stay, method or "") to the motion
-            made, of the same skeleton and length, and notes. export: (motion, file name) to what is to be said.
-        dress: a motion to what is shown of it, of the body's joints where a ``body`` is drawn instead of the figure.
-        joints: to choose from. methods: to choose from, besides the default. keys, target: at first.
-        backend: of the view, as of ``slider``: "picture" or "trame".
+    It is an ipywidgets box; its attribute ``hands`` holds by name what a person touches and reads: player, frames,
+    keep, previous, next, joints, method, file, export, message. backend: of the view, as of ``slider``: "picture" or
+    "trame". body: whose skin is shown; None, or joints that are not known: a figure. guided: unit, up of a BVH.
 
-    Returns:
-        an ipywidgets box; its attribute ``hands`` holds by name what a person touches and reads: player, frames, keep,
-        previous, next, joints, method, file, export, message.
+    Raises:
+        DataError: not a readable motion.
     """
     import ipywidgets
 
+    path = Path(path).resolve()
+    motion = io.load(path, **guided)
     kept: set[int] = set()
-    made = {"motion": motion}
-    last = motion.frames - 1
+    made, last, lift = {"motion": motion}, motion.frames - 1, None
+    if body:
+        with contextlib.suppress(DataError):
+            lift = retarget(motion).floor
+    skin = None if lift is None else BodyModel.from_anny() if isinstance(body, str) else body
     wide = {"width": f"{_SIZE[0]}px"}
     whole = {"width": "auto", "margin": "2px"}
 
@@ -60,45 +56,52 @@ def keyframe_editor(
         frame = min(step, last)
         return f"frame {frame} of {last}, {frame / motion.fps:.2f} s{', kept' if frame in kept else ''}"
 
+    def dress(made: Motion) -> Motion:
+        if skin is None:
+            return made
+        shown = retarget(made, floor=False).motion
+        return replace(shown, root=shown.root + torch.tensor([0.0, 0.0, lift]))
+
     given = dress(motion)
     panels = {"given": given, "in between": replace(given)}  # two motions: one is exchanged, the other is its ghost
-    scene, seconds = stage(panels, {"given": "truth"}, body, _SIZE, follow=True, ghost=given)
+    scene, seconds = stage(panels, {"given": "truth"}, skin, _SIZE, follow=True, ghost=given)
     player = Player(scene, seconds, backend, steps=max(last, 1), words=words)
     player.hand.layout, player.clock.layout = {"width": "auto", "margin": "0"}, {"width": "15em", "margin": "2px 12px"}
     strip = ipywidgets.HTML(layout={"width": "auto", "margin": "0"})
-    before, after = (
-        ipywidgets.Button(icon=f"step-{way}", tooltip=f"to the {name} kept frame", layout={"width": "3em"})
-        for way, name in (("backward", "previous"), ("forward", "next"))
-    )
+    narrow = {"width": "3em"}
+    before = ipywidgets.Button(icon="step-backward", tooltip="to the previous kept frame", layout=narrow)
+    after = ipywidgets.Button(icon="step-forward", tooltip="to the next kept frame", layout=narrow)
     keep = ipywidgets.Button(layout={"width": "11em"})
-    frames = ipywidgets.Text(value=keys, continuous_update=False, placeholder="as 0,45,60-80,last", layout=whole)
-    method = ipywidgets.Dropdown(options=[("default", ""), *((m, m) for m in methods)], layout=whole)
-    chosen = ipywidgets.SelectMultiple(options=list(joints), rows=9, layout=whole)
+    frames = ipywidgets.Text(value="0,last", continuous_update=False, placeholder="as 0,45,60-80,last", layout=whole)
+    method = ipywidgets.Dropdown(options=[("default", ""), *((m, m) for m in filling.METHODS)], layout=whole)
+    chosen = ipywidgets.SelectMultiple(options=[*filling.GROUPS, *motion.skeleton.names], rows=9, layout=whole)
+    target = f"{path.stem}_inbetween{path.suffix}"
     file = ipywidgets.Text(value=target, continuous_update=False, layout=whole | {"flex": "1 1 auto"})
     out = ipywidgets.Button(description="export", layout={"width": "7em"})
     message = ipywidgets.HTML(layout=wide)
 
     def say(*lines: str, wrong: bool = False) -> None:
-        message.style.text_color = _WRONG if wrong else None
+        message.style.text_color = "#b3261e" if wrong else None
         message.value = "<div style='line-height: 1.5'>" + "<br>".join(map(html.escape, lines)) + "</div>"
 
     def attempt(act: Callable[[], Sequence[str]]) -> bool:
         try:
             say(*act())
-        except ValueError as error:  # of what was chosen or typed
-            say(str(error), wrong=True)
-        except Exception as error:  # for the person too: on the kernel's loop nobody else would hear of it
-            say(f"{type(error).__name__}: {error}", wrong=True)
-        else:
             return True
-        return False
+        except Exception as error:  # for the person: on the kernel's loop nobody else would hear of it
+            typed = isinstance(error, ValueError)  # or chosen
+            say(str(error) if typed else f"{type(error).__name__}: {error}", wrong=True)
+            return False
+
+    def read() -> set[int]:
+        return filling.frames_named(frames.value, motion.frames, "frames kept")
 
     def make() -> Sequence[str]:
-        now = set(read(frames.value))
+        now = read()
         say("making what lies between …")
         began = time.perf_counter()
-        made["motion"], notes = fill(now, list(chosen.value), method.value)
-        taken = time.perf_counter() - began
+        found = filling.inbetween(motion, filling.key_mask(motion, now, chosen.value), method=method.value or None)
+        taken, made["motion"] = time.perf_counter() - began, found.motion
         kept.clear()
         kept.update(now)
         strip.value = _strip(kept, motion.frames)
@@ -106,7 +109,7 @@ def keyframe_editor(
         player.draw(player.hand.value)
         mark()
         count = motion.frames - len(kept)
-        return (f"{count} of {motion.frames} frames made in {taken:.1f} s, {len(kept)} kept as they are", *notes)
+        return (f"{count} of {motion.frames} frames made in {taken:.1f} s, {len(kept)} kept as they are", *found.notes)
 
     def redraw(_: object) -> None:
         out.disabled = not attempt(make)
@@ -119,26 +122,29 @@ def keyframe_editor(
 
     def toggle(_: object) -> None:
         try:
-            now = set(read(frames.value))  # of which some may still be waiting to be drawn
+            now = read()  # of which some may still be waiting to be drawn
         except ValueError:
             now = kept
         frames.value = _text(now ^ {at()}, last)
 
-    def jump(to: int | None) -> None:
-        if to is not None:
-            player.hand.value = to
+    def jump(to: int) -> None:
+        player.hand.value = to
+
+    def export() -> Sequence[str]:
+        goal = Path(file.value).resolve()
+        return (f"{goal} is written: {write_back(path, goal, motion, made['motion'])}",)
 
     def write(_: object) -> None:
         if not out.disabled:
-            attempt(lambda: (export(made["motion"], file.value),))
+            attempt(export)
 
     again, then = _newest(redraw), _newest(write)  # in the order in which they were asked for
     for hand in (frames, chosen, method):
-        hand.observe(lambda change: again(change["new"]), names="value")
+        hand.observe(again, names="value")
     player.hand.observe(mark, names="value")
     keep.on_click(toggle)
-    before.on_click(lambda _: jump(max((k for k in kept if k < at()), default=None)))
-    after.on_click(lambda _: jump(min((k for k in kept if k > at()), default=None)))
+    before.on_click(lambda _: jump(max((k for k in kept if k < at()), default=at())))
+    after.on_click(lambda _: jump(min((k for k in kept if k > at()), default=at())))
     out.on_click(then)
     redraw(None)
 

@@ -47,8 +47,8 @@ def cycled(
         if plant:
             motion = _planted_around(motion)
             notes.append("feet that stand are held in place, over the seam, too")
-        travel = motion.root[-1] - motion.root[0]
-        notes.append("the last frame is the first again" + f", {float(travel.norm()):.2f} m on" * (not in_place))
+        far = float((motion.root[-1] - motion.root[0]).norm())
+        notes.append("the last frame is the first again" + f", {far:.2f} m on" * (not in_place))
     if in_place:
         motion = fix_root_horizontally(motion)
         notes.append("the root stays above one point; its height and turns are as they were")

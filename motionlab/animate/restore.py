@@ -46,15 +46,11 @@ _ANCHOR = 0.5  # seconds in which the path's drift is one
 _CALM = 9  # frames over which poses from handles are smoothed, at the models' rate
 
 
-# ------------------------------------------------------------------------------------------------------ repair
 def _measured_noise(motion: Motion) -> Noise:
     """Measures the noise of a motion (T) that is new in every frame, from the median sixth difference in time.
 
     Of independent noise these have 924 times its variance; motion, which is smooth, has hardly any. Lasting noise is
     not seen.
-
-    Raises:
-        DataError: fewer than ``_LEAST`` frames.
     """
     if motion.frames < _LEAST:
         what = f"too short to measure noise: {_LEAST} frames are needed, it has {motion.frames}"
@@ -154,7 +150,6 @@ def _anchored(joints: Motion) -> Motion:
     return replace(made, root=root + (skeleton.sole - low) * torch.tensor([0.0, 0.0, 1.0]).to(root))
 
 
-# -------------------------------------------------------------------------------------------- from a few joints
 def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animated:
     """Computes a motion (T) of which only the places of some joints are known, and where it stands and faces.
 
@@ -175,8 +170,7 @@ def posed(motion: Motion, known: Sequence[str], *, plant: bool = True) -> Animat
     given, _ = on_model_body(Rig.of(motion, motion, nothing).at_model_rate()[0])
     which = torch.zeros(len(STANDARD), dtype=torch.bool)
     which[STANDARD.indices([owners[j] for j in joints])] = True
-    made = body.corrected(lambda *_: _from_handles(given, which))
-    made = body.to_own_rig(made, plant=plant)
+    made = body.to_own_rig(body.corrected(lambda *_: _from_handles(given, which)), plant=plant)
     targets = motion.positions[:, joints]
     reached = reach_targets(made, [motion.skeleton.names[j] for j in joints], targets, steps=40)
     far = (reached.positions[:, joints] - targets).norm(dim=-1)
@@ -197,7 +191,6 @@ def _from_handles(given: Motion, which: Tensor) -> Motion:
     return with_contacts(baselines.smoothed(made, window) if window > 2 else made)
 
 
-# ---------------------------------------------------------------------------------------------------- generate
 def generated(
     seconds: float, *, start: Motion | None = None, seed: int = 0, plant: bool = True, progress: bool = False
 ) -> Animated:
@@ -228,8 +221,7 @@ def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> An
     if frames > WINDOW:
         motion = motion.clip(torch.arange(frames).clamp(max=WINDOW - 1))
         known = (torch.arange(frames) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
-        missing = torch.zeros(len(STANDARD), dtype=torch.bool)
-        motion = network(draws, missing, progress)(motion, known)
+        motion = network(draws, torch.zeros(len(STANDARD), dtype=torch.bool), progress)(motion, known)
     motion = motion.cut(0, frames)
     if plant:
         motion = lock_feet(motion.clip(None), slow=False).clip(0)

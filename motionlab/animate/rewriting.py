@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
@@ -61,7 +60,6 @@ def _averaged(loaded: Motion) -> list[str]:
     return [name for name, _, _ in said if name in loaded.skeleton.names]
 
 
-# -------------------------------------------------------------------------------------------------------- BVH
 def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
     text = read_text(at)
     joints, values, _ = bvh._parse(at, text)  # what it notes was said when the file was loaded
@@ -164,7 +162,6 @@ def _line_end(line: str) -> str:
     return line[len(line.rstrip("\r\n")) :]
 
 
-# -------------------------------------------------------------------------------------------------------- npz
 def _npz(at: Location, loaded: Motion, made: Motion) -> bytes:
     arrays = {k: np.array(x) for k, x in read_npz(at).items()}
     places, moving = _smpl_keys(arrays)
@@ -201,7 +198,6 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
     return places, moving
 
 
-# -------------------------------------------------------------------------------------------------------- GLB
 def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     content, blob = gltf_reading._chunks(at)
     data = bytearray(read_bytes(at))
@@ -299,13 +295,9 @@ def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarr
         struct.pack_into(f"<{width}f", data, first + int(t) * view.get("byteStride", 4 * width), *old[t])
 
 
-WRITERS: dict[str, Callable[[Path, Motion], None]] = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save,
-                                                    ".npy": humanml.save}  # fmt: skip
-REWRITERS: dict[str, Callable[[Location, Motion, Motion], bytes]] = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
-
-
-#: What is said of a file that is written anew.
-_ANEW = {
+WRITERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save, ".npy": humanml.save}
+REWRITERS = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
+_ANEW = {  # what is said of a file that is written anew
     ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
     ".npz": "written anew as parameters of SMPL-H, in double precision",
     ".npy": "written anew as the places of 22 joints at 20 frames per second, as HumanML3D has them",
@@ -332,8 +324,7 @@ def check_target(source: str | Path | None, target: str | Path) -> None:
 def write_back(source: str | Path | None, target: str | Path, loaded: Motion | None, made: Motion) -> str:
     """Writes what was made of a motion: where the format stays, into a copy of its file; says which it was.
 
-    Args:
-        source, loaded: the file and the motion that was read from it; None where there is none.
+    source, loaded: the file and the motion that was read from it; None where there is none.
 
     Raises:
         DataError: a target that cannot be (:func:`check_target`), or for an .npz a skeleton of unknown joints.

@@ -9,11 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionlab.commands import many
-from motionlab.commands.many import Job
 from motionlab.commands.motions import READ, WRITTEN, add_reading, make_folder, read_motion, say_note
-from motionlab.commands.printing import add_command, is_watched
-from motionlab.commands.showing import add_cut, add_film, check_film, cut, draw_film
+from motionlab.commands.printing import add_command, add_sharing, is_watched
+from motionlab.commands.showing import CUT, check_film, cut, draw_film
 from motionlab.errors import DataError
 
 if TYPE_CHECKING:
@@ -23,73 +21,62 @@ if TYPE_CHECKING:
 _METHODS = ("network", "curves")
 _IN = f"a motion ({READ}), or a folder: of it all {' '.join(WRITTEN)}"
 _OUT = f"a file ({' '.join(WRITTEN)}; the format of IN keeps the file's own numbers), or for a folder another folder"
+_DRAW = "draw one of the motions that are possible, by the network; none: its one answer, closest on average"
 
 
 def add_commands(commands: argparse._SubParsersAction) -> None:
     """Adds the commands; nothing heavy is imported before one runs."""
+    add = partial(_command, commands)
     example = "walk.bvh --keys 0,30,60,90,120-last --out between.bvh --film between.mp4"
-    text = "keep the frames you name, make those between them"
-    command = _command(commands, "inbetween", text, example, _inbetween, _DRAW)
+    command = add("inbetween", "keep the frames you name, make those between them", example, _inbetween, _DRAW)
     command.add_argument("--keys", required=True, help="frames that stay, from 0: 0,45,90 or 0-20,60-last")
     command.add_argument("--joints", type=_words, default=[], help="joints that stay in all frames, as left_wrist,arms")
     command.add_argument("--method", choices=_METHODS, help="default: what is measured best for the longest gap")
 
-    example = "walk.bvh --out repaired.bvh"
-    command = _command(commands, "repair", "take noise and jumps out of a motion", example, _repair)
-    text = "of joints and root (default: auto, as measured)"
-    command.add_argument("--noise", type=_noise, metavar="auto|DEGREES[,MM]", help=text)
-    command.add_argument("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
-    command.add_argument("--drift", action="store_true", help="the path goes by the feet: of a walk seen on a video")
+    option = add("repair", "take noise and jumps out of a motion", "walk.bvh --out repaired.bvh", _repair).add_argument
+    option("--noise", type=_noise, metavar="auto|DEGREES[,MM]", help="of joints and root (default: auto, as measured)")
+    option("--method", choices=_METHODS, help="default: network; for jumps as of inbetween")
+    option("--drift", action="store_true", help="the path goes by the feet: of a walk seen on a video")
 
     example = "walk.bvh --hidden legs --out completed.bvh"
-    command = _command(commands, "complete", "make joints that are missing or wrong", example, _complete, _DRAW)
+    command = add("complete", "make joints that are missing or wrong", example, _complete, _DRAW)
     which = command.add_mutually_exclusive_group(required=True)
     which.add_argument("--hidden", type=_words, help="joints to make: legs, left_arm, right_knee, ...; others stay")
     which.add_argument("--known", type=_words, help="joints whose places alone are known: left_wrist,head, ...")
 
-    _command(commands, "plant", "hold feet that stand in place", "walk.bvh --out planted.bvh", _plant, plants=False)
+    add("plant", "hold feet that stand in place", "walk.bvh --out planted.bvh", _plant, plants=False)
 
-    text, example = "make a motion a loop, or let it go nowhere", "walk.bvh --loop --cut 1.467 2.567 --out loop.bvh"
-    command = _command(commands, "cycle", text, example, _cycle)
+    example = "walk.bvh --loop --cut 1.467 2.567 --out loop.bvh"
+    command = add("cycle", "make a motion a loop, or let it go nowhere", example, _cycle)
     command.add_argument("--loop", action="store_true", help="its last frame is its first again; best cut to one round")
     command.add_argument("--in-place", action="store_true", help="the root stays above one point of the floor")
-    add_cut(command)
+    command.add_argument("--cut", **CUT, help="only these seconds")
     command.add_argument("--blend", type=float, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
 
     text, example = "put the movement of a motion on the rig of another", "walk.bvh --onto rig.bvh --out mine.bvh"
-    command = _command(commands, "retarget", text, example, None, plants=False)
-    text = f"its bones, names and rest pose: {READ}"
-    command.add_argument("--onto", type=Path, required=True, metavar="RIG", help=text)
-    command.add_argument("--onto-names", type=Path, metavar="FILE.json", help="as --names, of RIG")
+    option = add("retarget", text, example, None, plants=False).add_argument
+    option("--onto", type=Path, required=True, metavar="RIG", help=f"its bones, names and rest pose: {READ}")
+    option("--onto-names", type=Path, metavar="FILE.json", help="as --names, of RIG")
 
-    text, example = "make new motions, or what may follow on one", "generate --seconds 4 --count 2 --out made/"
+    text, example = "make new motions, or what may follow on one", "--seconds 4 --count 2 --out made/"
     command = add_command(commands, "generate", text, example, _generate)
     command.add_argument("--seconds", type=float, default=4.0, help="how long each is, or goes on (default 4)")
     command.add_argument("--count", type=int, default=1, help="how many, each from its own seed (default 1)")
     command.add_argument("--start", type=Path, metavar="IN", help="a motion to go on from, which stays as it is")
     command.add_argument("--format", choices=[s[1:] for s in WRITTEN], help="default: that of --start, or bvh")
     command.add_argument("--out", type=Path, required=True, metavar="FOLDER")
-    add_film(command, "what was made, side by side")
+    text = "also write a film: what was made, side by side"
+    command.add_argument("--film", type=Path, metavar="FILE.mp4", help=text)
     _usual(command, "of the first (default 0)")
 
 
-_DRAW = "draw one of the motions that are possible, by the network; none: its one answer, closest on average"
-
-
-def _command(
-    commands: argparse._SubParsersAction,
-    name: str,
-    text: str,
-    example: str,
-    make: Callable | None,
-    *seed: str,
-    plants: bool = True,
-) -> argparse.ArgumentParser:
-    command = add_command(commands, name, text, f"{name} {example}", _on_motions)
+def _command(commands, name: str, text: str, example: str, make: Callable | None, *seed: str, plants: bool = True):
+    command = add_command(commands, name, text, example, _on_motions)
     command.add_argument("source", metavar="IN", type=Path, help=_IN)
     command.add_argument("--out", type=Path, required=True, help=_OUT)
-    add_film(command, "what was given beside what was made of it; not of a folder")
-    many.add_sharing(command, "of a folder")
+    text = "also write a film: what was given beside what was made of it; not of a folder"
+    command.add_argument("--film", type=Path, metavar="FILE.mp4", help=text)
+    add_sharing(command, "of a folder")
     command.set_defaults(make=make)
     _usual(command, *seed, plants=plants)
     return command
@@ -140,6 +127,8 @@ def _on_motions(options: argparse.Namespace) -> int:
         if options.film:
             print(draw_film({"given": given, "made": made}, options.film))
         return 0
+    from motionlab.commands import batch
+
     if options.film:
         remedy = "leave out --film, and draw the ones you want: motionlab show IN OUT --out FILM.mp4"
         raise DataError("a film shows one motion, this is a folder", path=options.source, place="--film", remedy=remedy)
@@ -155,28 +144,27 @@ def _on_motions(options: argparse.Namespace) -> int:
     if len(found) < len(files):
         print(f"note: {len(files) - len(found)} of {len(files)} files were passed over: not {' '.join(WRITTEN)}")
     clips = [(path.name, path, None, options.out / path.name) for path in found]
-    return many.run_clips(partial(_make, options=options), clips, lambda clip: clip[3].exists(), options)
+    return batch.run_clips(partial(_make, options=options), clips, lambda clip: clip[3].exists(), options)
 
 
-def _make(clip: Job, options: argparse.Namespace) -> list[str]:
+def _make(clip: tuple, options: argparse.Namespace) -> list[str]:
     """Does it with one of many; says how."""
-    _, source, _, target = clip
     notes: list[str] = []
-    _made(source, target, options, notes.append)
+    _made(clip[1], clip[3], options, notes.append)
     return notes
 
 
-def _made(
-    source: Path, target: Path, options: argparse.Namespace, say: Callable[[str], None], progress: bool = False
-) -> tuple[Motion, Motion]:
+def _made(source: Path, target: Path, options, say: Callable, progress: bool = False) -> tuple[Motion, Motion]:
     """Reads a motion, makes another of it and writes that; returns both, and says what was guessed, and how."""
     from motionlab.animate.rewriting import check_target, write_back
     from motionlab.retarget import retarget_onto
 
     check_target(source, target)
     motion = given = read_motion(source, options, say)
-    if "onto" in options:
-        source, given = options.onto, _rig(options, say)
+    if "onto" in options:  # of which names are given, and what to do with bones that change their length
+        source, said = options.onto, lambda note: say(f"{options.onto.name}: {note}")
+        stretched = options.translations if source.suffix.lower() in (".bvh", ".glb", ".gltf") else None
+        given = read_motion(source, argparse.Namespace(names=options.onto_names, translations=stretched), said)
         found = retarget_onto(motion, given)
     else:
         found = options.make(options, motion, progress)
@@ -225,15 +213,7 @@ def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Anima
         raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
     motion = cut(motion, options.source, options.cut)
     blend = looping.BLEND if options.blend is None else options.blend
-    how = {"loop": options.loop, "in_place": options.in_place, "blend": blend}
-    return looping.cycled(motion, **how, plant=options.plant)
-
-
-def _rig(options: argparse.Namespace, say: Callable[[str], None]) -> Motion:
-    """Reads --onto, of which names are given, and what to do with bones that change their length."""
-    stretched = options.translations if options.onto.suffix.lower() in (".bvh", ".glb", ".gltf") else None
-    alone = argparse.Namespace(names=options.onto_names, translations=stretched)
-    return read_motion(options.onto, alone, lambda note: say(f"{options.onto.name}: {note}"))
+    return looping.cycled(motion, loop=options.loop, in_place=options.in_place, blend=blend, plant=options.plant)
 
 
 def _generate(options: argparse.Namespace) -> int:

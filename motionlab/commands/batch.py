@@ -3,25 +3,26 @@ kills its process is named and the others go on, and what is done stays done."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 import traceback
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Generic, TypeVar
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from motionlab.errors import DataError, MissingData, NotConverged, ShapeError
 from motionlab.parallel import run_jobs, threads_for
 
-J = TypeVar("J")
-#: How often a clip may lose its process while it is alone in it, until it is the one to blame.
-LIVES = 2
-#: Seconds that a cluster has to answer, and to have a worker.
-PATIENCE = 60.0
+Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (one or two paths), and where it goes
+LIVES = 2  # how often a clip may lose its process while it is alone in it, until it is the one to blame
+PATIENCE = 60.0  # seconds that a cluster has to answer, and to have a worker
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Failed:
 
 
 @dataclass(frozen=True)
-class Batch(Generic[J]):
+class Batch:
     """What became of the jobs, each by its place in the list: what the function returned, what had been finished
     before, and what failed."""
 
@@ -46,21 +47,18 @@ class Batch(Generic[J]):
         """Returns the report for a terminal: one line for all, and one for each clip that failed."""
         counts = {"done": self.results, "finished before": self.skipped, "failed": self.failed}
         said = ", ".join(f"{len(those)} {word}" for word, those in counts.items() if those or word == "done")
-        return [
-            f"{len(self.names)} clips: {said}",
-            *(f"{self.names[k]}: {self.failed[k].message}" for k in self.failed),
-        ]
+        return [f"{len(self.names)} clips: {said}", *(f"{self.names[k]}: {x.message}" for k, x in self.failed.items())]
 
 
 def run_many(
-    function: Callable[[J], Any],
-    jobs: Sequence[J],
+    function: Callable[[Any], Any],
+    jobs: Sequence[Any],
     *,
-    finished: Callable[[J], bool] | None = None,
+    finished: Callable[[Any], bool] | None = None,
     jobs_at_once: int = 1,
     cluster: str | None = None,
-    name: Callable[[J], str] = str,
-) -> Batch[J]:
+    name: Callable[[Any], str] = str,
+) -> Batch:
     """Runs a function on every job that is not finished yet, each on one thread; shows progress.
 
     A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
@@ -111,7 +109,34 @@ def run_many(
     return batch
 
 
-def _attempt(function: Callable[[J], Any], job: J) -> Any:
+def run_clips(
+    function: Callable, clips: Sequence[Job], finished: Callable, options: argparse.Namespace, compared: bool = False
+) -> int:
+    """Runs a command on every clip that is not finished; prints what was done, and every note once.
+
+    function: of a clip, to its notes; a module's function or a partial of one. compared: whether ``finished`` asks for
+    the same options. Returns 1 where a clip failed, else 0. Raises what :func:`run_many` does.
+    """
+    clips = [(name, *(path and path.resolve() for path in paths)) for name, *paths in clips]  # for other machines
+    jobs = 1 if options.jobs is None else options.jobs
+    how = {"jobs_at_once": jobs, "cluster": options.cluster, "name": itemgetter(0)}
+    found = run_many(function, clips, finished=finished, **how)
+    said = defaultdict(list)
+    for k, notes in sorted(found.results.items()):
+        for note in notes:
+            said[note].append(found.names[k])
+    for note, names in said.items():
+        print(f"note: {note} ({names[0] if len(names) == 1 else f'{len(names)} clips'})")
+    print(found.lines()[0])
+    if found.skipped:
+        how = "" if compared else ", perhaps made with other options"
+        print(f"note: clips that were finished before{how}, stay as they are; to make one again, delete what it wrote")
+    if found.failed:  # why was said when it happened
+        print(f"failed: {', '.join(found.names[k] for k in sorted(found.failed))}", file=sys.stderr)
+    return 1 if found.failed else 0
+
+
+def _attempt(function: Callable[[Any], Any], job: Any) -> Any:
     """What the function returns, or why it does not: errors themselves may not survive the way between processes."""
     try:
         with threads_for(1):
@@ -122,9 +147,7 @@ def _attempt(function: Callable[[J], Any], job: J) -> Any:
         return Failed(f"{type(error).__name__}: {error}", traceback.format_exc())
 
 
-def _on_processes(
-    work: dict[int, Callable[[], Any]], count: int, done: Callable[[int, Any], None], apart: bool
-) -> None:
+def _on_processes(work: dict[int, Callable], count: int, done: Callable[[int, Any], None], apart: bool) -> None:
     """Do all of it. Where a process is killed, its pool is lost: those that had begun go on in one process, where the
     first without a result is the one to blame."""
     left, killed = dict(work), Counter()

@@ -102,9 +102,8 @@ def _check_rendering() -> Check:
     if run.returncode or not lines:
         return wrong(f"no off-screen rendering (exit status {run.returncode})")
     window, renderer, spread = lines[-1].split("|")
-    return (
-        Check("rendering", f"{window}, {renderer}") if float(spread) > 1 else wrong(f"{window} draws an empty picture")
-    )
+    found = Check("rendering", f"{window}, {renderer}")
+    return found if float(spread) > 1 else wrong(f"{window} draws an empty picture")
 
 
 def _check_body() -> Check:
@@ -135,8 +134,7 @@ def table(checks: list[Check]) -> str:
     lines = []
     for check in checks:
         lines.append(f"{'ok ' if check.ok else '-- '} {check.name:<{width}}  {check.found}")
-        if not check.ok:
-            lines.append(f"    {'':<{width}}  remedy: {check.remedy}")
+        lines += [] if check.ok else [f"    {'':<{width}}  remedy: {check.remedy}"]
     return "\n".join(lines)
 
 
@@ -148,9 +146,7 @@ def prepare() -> bool:
     rendering = _check_rendering()
     if not rendering.ok and shutil.which("apt-get") and os.geteuid() == 0:
         print(f"rendering: {rendering.found}; installing {scene.RENDERING_PACKAGES}", flush=True)
-        subprocess.run(
-            ["sh", "-c", scene.RENDERING_REMEDY], check=False, env={**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-        )
+        subprocess.run(["env", "DEBIAN_FRONTEND=noninteractive", "sh", "-c", scene.RENDERING_REMEDY], check=False)
         rendering = _check_rendering()
     if not rendering.ok:
         print(f"rendering: {rendering.found}. Run this as root, then again what you ran:\n  {scene.RENDERING_REMEDY}")
@@ -175,5 +171,4 @@ def _compile_loops() -> None:
     from motionlab.humor.state import STATE
 
     z = torch.zeros(1, 1, 48, requires_grad=True)
-    rolled, _ = steered_rollout(Cvae(32), torch.zeros(1, STATE), z)
-    rolled.states.sum().backward()
+    steered_rollout(Cvae(32), torch.zeros(1, STATE), z)[0].states.sum().backward()

@@ -7,9 +7,7 @@ from collections import defaultdict
 from functools import partial
 from pathlib import Path
 
-from motionlab.commands import many
-from motionlab.commands.many import Job
-from motionlab.commands.printing import add_command, is_watched, text_table
+from motionlab.commands.printing import add_command, add_sharing, is_watched, text_table
 from motionlab.errors import DataError
 
 #: A clip's keypoints are one of the first, or a folder that holds some of the second; its video one of the third, or
@@ -23,52 +21,38 @@ _PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior
 def add_fit(commands: argparse._SubParsersAction) -> None:
     """Adds the command; nothing heavy is imported before it runs."""
     text = "find the 3-D motion of the people in a video, from 2-D keypoints"
-    command = add_command(commands, "fit", text, "fit clip.mp4 --keypoints keypoints/ --out scene/", _fit)
-    command.add_argument("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
-    command.add_argument(
-        "--keypoints", type=Path, metavar="PATH",
-        help="what a 2-D pose detector wrote, told by content: a file, or a folder with a file per frame "
-        "(default: found in the video, needs motionlab[detect])",
-    )  # fmt: skip
-    command.add_argument("--out", type=Path, metavar="FOLDER/", help="gets motion, scene, film and report")
-    command.add_argument("--people", action="store_true", help="list who was seen, and stop")
-    command.add_argument(
-        "--person", nargs="+", default=["longest"], metavar="ID", help="longest, largest, all, or ids (see --people)"
-    )
-    command.add_argument("--size", type=_size, metavar="WxH", help="of the image, where no file says it, in pixels")
-    command.add_argument("--fps", type=float, help="of the keypoints, where neither they nor the video say it")
-    command.add_argument("--layout", help="of the keypoints, where it is not told: BODY_25, COCO_17, HALPE_26, ...")
-    command.add_argument(
+    command = add_command(commands, "fit", text, "clip.mp4 --keypoints keypoints/ --out scene/", _fit)
+    option = command.add_argument
+    option("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
+    text = "what a 2-D pose detector wrote, told by content: a file, or a folder with a file per frame (default:"
+    option("--keypoints", type=Path, metavar="PATH", help=f"{text} found in the video, needs motionlab[detect])")
+    option("--out", type=Path, metavar="FOLDER/", help="gets motion, scene, film and report")
+    option("--people", action="store_true", help="list who was seen, and stop")
+    text = "longest, largest, all, or ids (see --people)"
+    option("--person", nargs="+", default=["longest"], metavar="ID", help=text)
+    option("--size", type=_size, metavar="WxH", help="of the image, where no file says it, in pixels")
+    option("--fps", type=float, help="of the keypoints, where neither they nor the video say it")
+    option("--layout", help="of the keypoints, where it is not told: BODY_25, COCO_17, HALPE_26, ...")
+    option(
         "--camera", type=Path, metavar="FILE", help="Qualisys XML, Captury .calib, Pose2Sim's TOML, OpenCV's YAML or "
         'XML, EasyMocap, COLMAP, or JSON: "intrinsics" (3x3, px), "width", "height"; if known "distortion" (k1, k2, '
         'p1, p2, k3), "rotation" (3x3) and "translation" from the world, z up, floor z = 0'
     )  # fmt: skip
-    command.add_argument("--camera-name", help="which of the file's cameras (default: by the number in PATH's name)")
-    command.add_argument("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
-    command.add_argument("--pose-prior", type=Path, metavar="FILE", help="a VPoser snapshot, or your own")
-    command.add_argument("--initial", type=Path, metavar="FILE", help="of first states: official .npz, or your own")
-    command.add_argument(
-        "--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres",
-    )  # fmt: skip
-    command.add_argument(
-        "--height", type=_height, metavar="METRES", help="of the person who is fitted, where that is no adult's"
-    )
-    command.add_argument(
-        "--draws", type=int, default=0, metavar="K",
-        help="of a clip of up to 6 s, K other motions that explain as well what was seen, and how far off hidden limbs "
-        "may be",
-    )  # fmt: skip
-    command.add_argument(
-        "--solver", choices=("shooting", "rollout"), default="shooting",
-        help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",
-    )  # fmt: skip
-    command.add_argument("--quick", action="store_true", help="few steps, a small film: a first look")
-    command.add_argument(
-        "--each", action="store_true",
-        help="the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/",
-    )  # fmt: skip
-    many.add_sharing(command, "with --each")
+    option("--camera-name", help="which of the file's cameras (default: by the number in PATH's name)")
+    option("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
+    option("--pose-prior", type=Path, metavar="FILE", help="a VPoser snapshot, or your own")
+    option("--initial", type=Path, metavar="FILE", help="of first states: official .npz, or your own")
+    text = "needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres"
+    option("--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"), help=text)
+    option("--height", type=_height, metavar="METRES", help="of the person who is fitted, where that is no adult's")
+    text = "of a clip of up to 6 s, K other motions that explain as well what was seen, and how far off hidden limbs"
+    option("--draws", type=int, default=0, metavar="K", help=f"{text} may be")
+    text = "of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more"
+    option("--solver", choices=("shooting", "rollout"), default="shooting", help=text)
+    option("--quick", action="store_true", help="few steps, a small film: a first look")
+    text = "the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/"
+    option("--each", action="store_true", help=text)
+    add_sharing(command, "with --each")
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -127,22 +111,22 @@ def _fit_one(options: argparse.Namespace) -> int:
 
 
 def _fit_each(options: argparse.Namespace) -> int:
+    from motionlab.commands import batch
+
     if options.people:
         raise DataError("lists the people of one clip", place="--people", remedy="leave out --each, or --people")
     if options.video is None and options.keypoints is None:
         remedy = "name a folder of videos, or --keypoints with a folder of what a detector wrote"
         raise DataError("no folder of clips", place="--each", remedy=remedy)
-    clips = [
-        (name, keypoints, video, options.out / name)
-        for name, (keypoints, video) in _clips_of(options.keypoints, options.video).items()
-    ]
+    found = _clips_of(options.keypoints, options.video)
+    clips = [(name, *paths, options.out / name) for name, paths in found.items()]
     how = {name: getattr(options, name) for name in _PASSED_ON}
     for name in ("camera", "prior", "pose_prior", "initial"):  # for workers that stand elsewhere
         how[name] = how[name] and how[name].resolve()
-    return many.run_clips(partial(_fit_clip, how=how), clips, partial(_is_fitted, how=how), options, compared=True)
+    return batch.run_clips(partial(_fit_clip, how=how), clips, partial(_is_fitted, how=how), options, compared=True)
 
 
-def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
+def _fit_clip(clip: tuple, how: dict[str, object]) -> list[str]:
     """Fits one of many; says who is to be doubted."""
     from motionlab.footage import fit, scene_report
 
@@ -153,7 +137,7 @@ def _fit_clip(clip: Job, how: dict[str, object]) -> list[str]:
     return [*record["notes"], *doubted, *guessed]
 
 
-def _is_fitted(clip: Job, how: dict[str, object]) -> bool:
+def _is_fitted(clip: tuple, how: dict[str, object]) -> bool:
     from motionlab.footage import fit
 
     _, keypoints, video, out = clip
@@ -162,13 +146,7 @@ def _is_fitted(clip: Job, how: dict[str, object]) -> bool:
 
 def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Path | None, Path | None]]:
     """Returns the clips of two folders, by name: keypoints (None: still to be found) and video (None: there is none).
-
-    A clip's keypoints are a .json, .csv or .npz file, or a folder; its video is a file or a folder of images. They
-    belong together where the keypoints are called as the video is, or begin so: walk.mp4 and walk_keypoints.json.
-
-    Raises:
-        DataError: no such folder, nothing in it, a video without keypoints or the other way round, or two for one.
-    """
+    Keypoints belong to a video where they are called as it is, or begin so: walk.mp4 and walk_keypoints.json."""
     from motionlab.io.video import PICTURES
 
     seen = _named(keypoints, _TABLES, _PER_FRAME)

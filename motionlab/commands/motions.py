@@ -16,38 +16,39 @@ if TYPE_CHECKING:
 
 WRITTEN = (".bvh", ".npz", ".glb", ".npy")
 READ = f"{' '.join(WRITTEN)} .gltf .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM, PHALP"
-
-
-#: Options of ``add_reading`` -> of the loaders.
-_READING = {"unit": "unit", "up": "up", "axes": "axes", "fps_in": "fps", "translations": "translations", "asf": "asf",
-            "animation": "animation", "person": "person"}  # fmt: skip
+_READING = ("unit", "up", "axes", "fps_in", "translations", "asf", "animation", "person")
 
 
 def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
     """Adds what a motion file does not say of itself, or says wrongly. rate: names of the frame rate's option."""
-    more = command.add_argument_group("what a file does not say, or says wrongly (default: worked out, and noted)")
-    more.add_argument("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
-    more.add_argument("--up", type=_up, metavar="AXIS", help="the file's axis that points up: y, z, ... (--up=-y)")
+    text = "what a file does not say, or says wrongly (default: worked out, and noted)"
+    option = command.add_argument_group(text).add_argument
+    option("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
+    option("--up", type=_up, metavar="AXIS", help="the file's axis that points up: y, z, ... (--up=-y)")
     text = "instead: the file's axes that become x, y and z, up; as --axes=x-zy"
-    more.add_argument("--axes", type=_axes, metavar="XYZ", help=text)
-    more.add_argument(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
+    option("--axes", type=_axes, metavar="XYZ", help=text)
+    option(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
     text = "of bones that change their length: refuse, or keep the mean"
-    more.add_argument("--translations", choices=("strict", "mean"), help=text)
-    more.add_argument("--asf", type=Path, metavar="FILE", help="the skeleton of an .amc (default: beside it)")
-    more.add_argument("--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own")
-    more.add_argument("--person", type=int, metavar="N", help="whom, of a file of several, from 0 (default: 0)")
-    more.add_argument("--animation", metavar="NAME", help="of a .glb: which, by name or number (default: the first)")
+    option("--translations", choices=("strict", "mean"), help=text)
+    option("--asf", type=Path, metavar="FILE", help="the skeleton of an .amc (default: beside it)")
+    option("--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own")
+    option("--person", type=int, metavar="N", help="whom, of a file of several, from 0 (default: 0)")
+    option("--animation", metavar="NAME", help="of a .glb: which, by name or number (default: the first)")
 
 
 def reading(options: argparse.Namespace) -> dict[str, object]:
     """Returns what was given of ``add_reading``, as options of the loaders."""
-    return {key: value for name, key in _READING.items() if (value := getattr(options, name, None)) is not None}
+    given = {name.removesuffix("_in"): getattr(options, name, None) for name in _READING}
+    return {name: value for name, value in given.items() if value is not None}
 
 
-def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], None] | None = None) -> Motion:
+def say_note(note: str) -> None:
+    """Prints a note."""
+    print(f"note: {note}", flush=True)
+
+
+def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], None] = say_note) -> Motion:
     """Reads the motion that a command works on, and says what was guessed.
-
-    say: what to do with each note; None prints it.
 
     Raises:
         DataError: not a readable motion, or an option that is for another format.
@@ -58,29 +59,23 @@ def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], No
         raise DataError("this is a folder", path=path, remedy="name the files in it that you mean")
     motion = io.load(path, **reading(options))
     for note in motion.notes:
-        (say or say_note)(note)
+        say(note)
     return with_roles(motion, options)
 
 
 def with_roles(motion: Motion, options: argparse.Namespace) -> Motion:
-    """Takes over which joint is which, where ``--names`` says it."""
-    return replace(motion, skeleton=replace(motion.skeleton, roles=_roles(options.names))) if options.names else motion
-
-
-def _roles(path: Path) -> dict[str, str]:
-    """Reads which joint is which, as the refusal of an unknown skeleton prints it: blanks are left out."""
+    """Takes over which joint is which, where ``--names`` says it: as the refusal of an unknown skeleton prints it,
+    blanks left out."""
     from motionlab.io.reading import read_json, reading
 
-    with reading(path, 'write {"pelvis": "its name", ...}') as at:
+    if not options.names:
+        return motion
+    with reading(options.names, 'write {"pelvis": "its name", ...}') as at:
         found = read_json(at)
         if not isinstance(found, dict) or not all(isinstance(name, str) for name in found.values()):
             raise at.error("expected one object of names")
-    return {name: own for name, own in found.items() if own}
-
-
-def say_note(note: str) -> None:
-    """Prints a note."""
-    print(f"note: {note}", flush=True)
+    roles = {name: own for name, own in found.items() if own}
+    return replace(motion, skeleton=replace(motion.skeleton, roles=roles))
 
 
 def make_folder(path: Path) -> None:

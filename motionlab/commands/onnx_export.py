@@ -84,7 +84,5 @@ def export(model: Completer, path: Path | str) -> None:
     gaps(*sample)  # what the skeleton keeps is computed now, not while it is traced
     with warnings.catch_warnings():  # torch warns of its own calls
         warnings.simplefilter("ignore", FutureWarning)
-        torch.onnx.export(
-            gaps, sample, str(path), input_names=list(INPUTS), output_names=list(OUTPUTS),
-            dynamo=True, external_data=False, optimize=True, verbose=False,
-        )  # fmt: skip
+        how = {"dynamo": True, "external_data": False, "optimize": True, "verbose": False}
+        torch.onnx.export(gaps, sample, str(path), input_names=list(INPUTS), output_names=list(OUTPUTS), **how)

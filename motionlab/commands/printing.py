@@ -1,4 +1,4 @@
-"""What the commands say: of themselves, in tables, and how far they are where somebody watches."""
+"""What all commands share: how they say what they are, tables, and whether somebody watches."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ import sys
 from collections.abc import Callable, Sequence
 
 
-def add_command(
-    commands: argparse._SubParsersAction, name: str, text: str, example: str, run: Callable | None = None
-) -> argparse.ArgumentParser:
-    """Adds a command: what it does in a line, one example of it, and what runs it, options -> exit status."""
-    command = commands.add_parser(
-        name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=f"example:\n  motionlab {example}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+def add_command(commands, name: str, text: str, example: str, run: Callable | None = None) -> argparse.ArgumentParser:
+    """Adds a command: what it does in a line, the words of one example, and what runs it, options -> exit status."""
+    command = commands.add_parser(name, help=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    command.description = f"{text[0].upper()}{text[1:]}."
+    command.epilog = f"example:\n  motionlab {name} {example}".rstrip()
     command.set_defaults(run=run)
     return command
+
+
+def add_sharing(command: argparse.ArgumentParser, what: str) -> None:
+    """Adds the options of a command that works on a folder of clips."""
+    command.add_argument("--jobs", type=int, metavar="N", help=f"{what}: so many at once, a process each (default 1)")
+    text = f"{what}: on the workers of this Dask scheduler, who share the folders (needs motionlab[cluster])"
+    command.add_argument("--cluster", metavar="tcp://HOST:PORT", help=text)
 
 
 def text_table(rows: Sequence[dict[str, object]]) -> str:

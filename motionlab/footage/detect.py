@@ -21,8 +21,6 @@ from motionlab.io.layouts import HALPE_26
 from motionlab.io.reading import read_npz, reading
 from motionlab.io.video import Video
 
-#: (H, W, 3) uint8, blue first -> points (P, 26, 2) in pixels and scores (P, 26) of the people in it.
-_Finder = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 _LOWEST = 0.3  # score from which RTMPose draws a point
 _OTHERWISE = (
     "Run a 2-D pose detector yourself and give what it wrote with --keypoints: OpenPose "
@@ -33,12 +31,8 @@ _OTHERWISE = (
 )
 
 
-def _rtmpose(mode: str = "balanced") -> _Finder:
-    """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance.
-
-    Raises:
-        MissingData: a package is not installed, or the weights cannot be fetched or used.
-    """
+def _rtmpose(mode: str = "balanced") -> Callable:
+    """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance."""
     try:
         from rtmlib import BodyWithFeet
 
@@ -47,12 +41,11 @@ def _rtmpose(mode: str = "balanced") -> _Finder:
     except ImportError as error:  # of rtmlib, or of the onnxruntime that it imports when a network is made
         what = f"a package of the optional extra that finds keypoints ({error})"
         raise MissingData(what, f"In the checkout: pip install -e '.[detect]'. {_OTHERWISE}") from error
-    except (OSError, http.client.HTTPException) as error:  # what a download raises
-        how = f"It could not be fetched ({error}): connect once to the network. {_OTHERWISE}"
-        raise MissingData("RTMPose's file of weights", how) from error
-    except Exception as error:  # what onnxruntime raises of a file that it cannot use
-        how = f"What is there cannot be used ({type(error).__name__}: {error}): delete it, and try again. {_OTHERWISE}"
-        raise MissingData("RTMPose's file of weights", how) from error
+    except Exception as error:
+        how = f"What is there cannot be used ({type(error).__name__}: {error}): delete it, and try again."
+        if isinstance(error, OSError | http.client.HTTPException):  # what a download raises, not onnxruntime
+            how = f"It could not be fetched ({error}): connect once to the network."
+        raise MissingData("RTMPose's file of weights", f"{how} {_OTHERWISE}") from error
 
     def finder(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         boxes = network.det_model(picture)
@@ -64,13 +57,12 @@ def _rtmpose(mode: str = "balanced") -> _Finder:
 
 
 def find(
-    video: Video, path: str | Path, *, finder: _Finder | None = None, fps: float | None = None, progress: bool = False
+    video: Video, path: str | Path, *, finder: Callable | None = None, fps: float | None = None, progress: bool = False
 ) -> None:
     """Finds the keypoints of everybody in a video and writes them as npz, as ``io.keypoints`` reads it.
 
-    Args:
-        finder: what finds them in one picture; default RTMPose's.
-        fps: of a folder of images.
+    finder: a picture (H, W, 3) uint8, blue first, to points (P, 26, 2) in pixels and scores (P, 26) of the people in
+    it; default RTMPose's. fps: of a folder of images.
 
     Raises:
         MissingData: rtmlib is not installed, or its weights are not here and cannot be fetched.
@@ -79,16 +71,14 @@ def find(
     fps = fps or video.fps
     if fps is None:
         raise DataError("images hold no frames per second", path=video.path, remedy="pass fps=, or --fps")
-    finder, frames = finder or _rtmpose(), []
-    pictures = tqdm(video.pictures(range(video.frames)), total=video.frames, unit="frame", disable=not progress)
-    for picture in pictures:
+    finder, frames, pictures = finder or _rtmpose(), [], video.pictures(range(video.frames))
+    for picture in tqdm(pictures, total=video.frames, unit="frame", disable=not progress):
         points, scores = (np.asarray(x, float) for x in finder(np.ascontiguousarray(picture[..., ::-1])))
         if points.shape[1:] != (len(HALPE_26), 2) or scores.shape != points.shape[:-1]:
             raise ShapeError(f"finder: expected (P, 26, 2) and (P, 26), got {points.shape} and {scores.shape}")
         sure = np.where(scores < _LOWEST, 0.0, scores)
         frames.append(np.concatenate((points, sure[..., None]), -1))
-    most = max(len(people) for people in frames)
-    table = np.zeros((len(frames), max(most, 1), len(HALPE_26), 3), np.float32)
+    table = np.zeros((len(frames), max(1, *map(len, frames)), len(HALPE_26), 3), np.float32)
     for row, people in zip(table, frames, strict=True):
         row[: len(people)] = people
     if not (table[..., 2] > 0).any():

@@ -144,15 +144,12 @@ def run_clip(
     if height is not None and len(ids) > 1:
         raise DataError(f"{len(ids)} people and one height", place="height", remedy="fit one at a time: --person ID")
     _check_free(out, _stems(ids))
-    priors = pretrained.load_priors(
-        motion=prior, pose=pose_prior, initial=initial, pelvis=None if pelvis is None else tuple(pelvis)
-    )
-    windows = out / "windows"
+    pelvis, windows = None if pelvis is None else tuple(pelvis), out / "windows"
+    priors = pretrained.load_priors(motion=prior, pose=pose_prior, initial=initial, pelvis=pelvis)
     begins("is the camera still?", progress)
     drift = None if clip.video is None else clip.drift()  # before the fit, which it must not lose
-    given = (clip.camera, clip.placed, clip.size)
-    config = SceneFitConfig(priors, *given, solver, quick, windows, progress, height, draws)
-    fitted = fit_people(seen, config)
+    how = (solver, quick, windows, progress, height, draws)
+    fitted = fit_people(seen, SceneFitConfig(priors, clip.camera, clip.placed, clip.size, *how))
     record = _record(clip, ids, fitted, drift, height)
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
     others = {k: each for k, each in enumerate(fitted.draws) if not record["people"][k]["doubtful"]}
@@ -168,7 +165,7 @@ def run_clip(
         _report(out, record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}, began)
         record["finished"] = not fitted.stopped
         try:
-            poster = _film(part / "overlay.mp4", clip, fitted, body, others, quick=quick, progress=progress).poster
+            poster = _film(part / "overlay.mp4", clip, fitted, body, others, quick, progress).poster
             (part / "overlay.mp4").replace(out / "overlay.mp4")
             record["files"].insert(-1, "overlay.mp4")
         except KeyboardInterrupt:
@@ -182,7 +179,6 @@ def run_clip(
     return record
 
 
-# -------------------------------------------------------------------------------------------------------------- output
 def _stems(ids: Sequence[int]) -> list[str]:
     return ["motion"] if len(ids) == 1 else [f"motion_{each}" for each in ids]
 
@@ -206,12 +202,7 @@ def _of_earlier(out: Path) -> list[str]:
 
 
 def _write(
-    folder: Path,
-    ids: Sequence[int],
-    fitted: SceneFit,
-    draws: dict[int, Draws],
-    record: dict[str, object],
-    body: BodyModel,
+    folder: Path, ids: Sequence[int], fitted: SceneFit, draws: dict[int, Draws], record: dict, body: BodyModel
 ) -> list[str]:
     """Writes all but film and report; adds to the record what concerns the files; returns their names."""
     files = []
@@ -220,13 +211,10 @@ def _write(
         standard = retarget(replace(motion, contacts=None), proportions="standard", leg=_LEG)
         amass.save(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
         row["files"] = {"bvh": f"{stem}.bvh", "amass": f"{stem}.npz"}
-        row["amass"] = {
-            "betas": "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand",
-            "scale": standard.scale,
-            "raised_m": standard.floor,
-            "says": f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet "
-            "stand on z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0",
-        }
+        betas = "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand"
+        says = (f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet stand on "
+                "z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0")  # fmt: skip
+        row["amass"] = {"betas": betas, "scale": standard.scale, "raised_m": standard.floor, "says": says}
         files += row["files"].values()
     names = [f"person {each}" for each in ids]
     gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)
@@ -245,48 +233,32 @@ def _report(out: Path, record: dict[str, object], began: float, poster: bytes = 
 
 
 def _film(
-    path: Path,
-    clip: Clip,
-    fitted: SceneFit,
-    body: BodyModel,
-    draws: dict[int, Draws],
-    *,
-    quick: bool,
-    progress: str | bool,
+    path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, draws: dict[int, Draws], quick: bool, bars: str | bool
 ) -> film.Film:
     count, rate, fps = clip.count, clip.rate, fitted.seen.fps
     at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
-    motions = []
-    for motion in fitted.motions:
-        motion = resample(replace(motion, contacts=None), rate) if rate != motion.fps else motion
-        hold = torch.arange(count).clamp(max=motion.frames - 1)  # what lies behind the last sample
-        motions.append(replace(motion, root=motion.root[hold], rot=motion.rot[hold], contacts=None))
-    seen = [
-        replace(fitted.seen, keypoints=points[at], confidence=sure[at], fps=rate)
-        for points, sure in zip(fitted.seen.keypoints, fitted.seen.confidence, strict=True)
-    ]
+    played = [resample(replace(motion, contacts=None), rate) for motion in fitted.motions]
+    motions = [m.clip(torch.arange(count).clamp(max=m.frames - 1)) for m in played]  # held behind the last sample
+    both = zip(fitted.seen.keypoints, fitted.seen.confidence, strict=True)
+    seen = [replace(fitted.seen, keypoints=points[at], confidence=sure[at], fps=rate) for points, sure in both]
     pictures = None if clip.video is None else clip.pictures(range(count))
     roles = [scene_report.PEOPLE[k % len(scene_report.PEOPLE)] for k in range(len(motions))]
-    how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen, "progress": begins("film", progress)}
+    how = {"roles": roles, "shown": fitted.shown[:, at].tolist(), "seen": seen, "progress": begins("film", bars)}
     how |= {"area": _SMALL} if quick else {}
-    how["ghosts"] = {
-        k: (project(fitted.camera, each.motions.positions[:, at])[0], each.hidden[at]) for k, each in draws.items()
-    }
+    places = {k: project(fitted.camera, each.motions.positions[:, at])[0] for k, each in draws.items()}
+    how["ghosts"] = {k: (places[k], each.hidden[at]) for k, each in draws.items()}
     return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
-# ---------------------------------------------------------------------------------------------------------- the record
-def _record(
-    clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, height: float | None
-) -> dict[str, object]:
+def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, height: float | None) -> dict:
     """What there is to say, as plain numbers; see ``scene_report.page``."""
     camera, read = fitted.camera, clip.footage
     pixels = torch.stack([project(camera, landmarks_of(motion))[0] for motion in fitted.motions])
     away, weight = pixel_distances(pixels, fitted.seen)
     people = [scene_report.person_row(k, each, fitted, away[k], weight[k]) for k, each in enumerate(ids)]
-    known = np.array([]) if drift is None else drift[1:][np.isfinite(drift[1:])]
-    worst = float(known.max()) if len(known) else None
-    cuts = [] if drift is None else [clip.samples[k] / clip.rate for k in np.flatnonzero(np.isinf(drift))]
+    drift = np.zeros(0) if drift is None else drift
+    worst = max((float(off) for off in drift[1:] if np.isfinite(off)), default=None)
+    cuts = [clip.samples[k] / clip.rate for k in np.flatnonzero(np.isinf(drift))]
     left_out = [track.id for track in read.tracks if track.id not in ids]
     given = clip.camera is not None
     if clip.placed and height is None:
@@ -297,23 +269,15 @@ def _record(
         row["open"] = ["no other motions are drawn: the fit is doubtful"] if row["doubtful"] else each.summary()
     source = "given, and its place" if clip.placed else "given, its place found" if given else "assumed, level at first"
     return {
-        "keypoints": {
-            "path": str(read.path), "detector": read.detector, "points": len(read.names), "fps": read.fps,
-            "frames": read.frames, "size": clip.size, "people": read.table(),
-        },
-        "footage": None if clip.video is None else {
-            "path": str(clip.video.path), "fps": clip.rate, "frames": clip.video.frames, "size": clip.video.size,
-            "first": clip.first,
-        },
-        "camera": {
-            "source": source, "width": camera.width, "height": camera.height,
-            **{key: getattr(camera, key).tolist() for key in ("intrinsics", "rotation", "translation")},
-            "distortion": list(clip.camera.distortion) if given else [],
-        },
-        "moving_camera": {
-            "assumed": "the camera does not move", "background_drift": worst,
-            "moved": True if cuts else None if worst is None else worst > video.MOVED, "cuts_s": cuts,
-        },
+        "keypoints": {"path": str(read.path), "detector": read.detector, "points": len(read.names), "fps": read.fps,
+                      "frames": read.frames, "size": clip.size, "people": read.table()},
+        "footage": clip.video and {"path": str(clip.video.path), "fps": clip.rate, "frames": clip.video.frames,
+                                   "size": clip.video.size, "first": clip.first},
+        "camera": {"source": source, "width": camera.width, "height": camera.height,
+                   **{key: getattr(camera, key).tolist() for key in ("intrinsics", "rotation", "translation")},
+                   "distortion": list(clip.camera.distortion) if given else []},
+        "moving_camera": {"assumed": "the camera does not move", "background_drift": worst,
+                          "moved": True if cuts else None if worst is None else worst > video.MOVED, "cuts_s": cuts},
         "people": people, "left_out": left_out, "frames": fitted.seen.frames, "fps": fitted.seen.fps,
         "windows": fitted.windows, "energy": fitted.energy, "ended": list(fitted.reasons),
         "notes": [*clip.notes, *fitted.notes],

@@ -12,7 +12,6 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab import viz
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
@@ -32,10 +31,8 @@ def as_camera(picture: np.ndarray, camera: Camera, size: tuple[int, int]) -> np.
     """
     high, wide = picture.shape[:2]
     if abs(wide * camera.height - high * camera.width) > max(camera.width, camera.height):
-        whole = np.zeros((camera.height, camera.width, 3), np.uint8)
-        high, wide = min(camera.height, high), min(camera.width, wide)
-        whole[:high, :wide] = picture[:high, :wide]
-        picture = whole
+        inside, picture = picture[: camera.height, : camera.width], np.zeros((camera.height, camera.width, 3), np.uint8)
+        picture[: inside.shape[0], : inside.shape[1]] = inside
     return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BOX))
 
 
@@ -64,15 +61,10 @@ def bodies_over(
 ) -> Iterator[np.ndarray]:
     """Draws the skins of people through their camera over pictures, one per frame; whoever is nearer hides the other.
 
-    Args:
-        motions: one clip per person, at one rate.
-        pictures: (H, W, 3) uint8, those of ``frames`` in their order, of the size (width, height) and the camera's
-            shape.
-        shown: (P, T) in which frames there is somebody.
-        fine: smooth edges; where the processor draws, that takes three times as long.
+    motions: one clip per person, at one rate. pictures: (H, W, 3) uint8, those of ``frames`` in their order, of the
+    size (width, height) and the camera's shape. shown: (P, T) in which frames there is somebody. fine: smooth edges.
     """
-    with Scene(size, camera=camera) as scene:
-        _edges(scene, fine)
+    with Scene(size, camera=camera, fine=fine) as scene:
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
             scene.body(body, motion, role, shadow=0, shown=None if shown is None else shown[k])
         for frame, picture in zip(frames, pictures, strict=True):
@@ -82,12 +74,6 @@ def bodies_over(
             share = _OPAQUE * layer[there, 3:] / 255.0
             mixed[there] = share * layer[there, :3] + (1 - share) * picture[there]
             yield mixed
-
-
-def _edges(scene: Scene, fine: bool) -> None:
-    if not fine and not viz.draft:
-        scene.plotter.disable_anti_aliasing()
-        scene.plotter.render_window.SetMultiSamples(0)
 
 
 def labelled(picture: np.ndarray, text: str) -> np.ndarray:
@@ -131,57 +117,43 @@ def over_footage(
     size, frames = _film_size(camera, area), range(count)
     paper = np.asarray(Image.new("RGB", size, PAPER))
     below = (as_camera(p, camera, size) for p in pictures) if pictures is not None else (paper for _ in frames)
-    how = {"roles": roles, "shown": shown, "fine": False}
-    right = camera.rotation[0]
+    azimuth = float(torch.rad2deg(torch.atan2(camera.rotation[0, 1], camera.rotation[0, 0])))
     wide = max(320, 2 * round(0.4 * size[1]))
-    much = [_usual((each.confidence > 0).sum(-1)) for each in seen] or [1.0] * len(motions)
-    with Scene((wide, size[1]), azimuth=_degrees(right), panels=("from the camera's right",)) as side:
-        _edges(side, fine=False)
+    counts = [(each.confidence > 0).sum(-1).float() for each in seen]
+    much = [float(n[n > 0].median()) if n.any() else 0.0 for n in counts] or [1.0] * len(motions)
+    with Scene((wide, size[1]), azimuth=azimuth, panels=("from the camera's right",), fine=False) as side:
         side.floor()
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
             there = None if shown is None else shown[k]
             side.body(body, motion, role, shown=there, framed=2 * much[k] >= max(much))
         poster = None
         with imageio.get_writer(path, fps=fps, macro_block_size=2, quality=6) as film:
-            drawn = bodies_over(motions, camera, below, frames, size, body, **how)
+            drawn = bodies_over(motions, camera, below, frames, size, body, roles=roles, shown=shown, fine=False)
             name = progress if isinstance(progress, str) else None
-            bar = tqdm(drawn, name, count, leave=False, disable=not progress)
-            for frame, front in enumerate(bar):
+            for frame, front in enumerate(tqdm(drawn, name, count, leave=False, disable=not progress)):
+                image, scale = Image.fromarray(front), size[0] / camera.width
                 for person, role in zip(seen, roles, strict=False):
-                    front = _dotted(front, person, frame, size[0] / camera.width, role)
+                    _draw_dots(image, person, frame, scale, role)
                 for k, (places, hidden) in (ghosts or {}).items():
                     if shown is None or shown[k][frame]:
-                        front = _ghostly(front, places[:, frame], hidden[frame], size[0] / camera.width, roles[k])
+                        _draw_bones(image, places[:, frame] * scale, hidden[frame], roles[k])
                 text = "over the footage" if pictures is not None else "through the camera"
-                picture = np.concatenate((labelled(front, text), side.image(frame / fps)), 1)
+                picture = np.concatenate((labelled(np.asarray(image), text), side.image(frame / fps)), 1)
                 film.append_data(picture)
                 poster = picture if poster is None or frame == count // 2 else poster
     return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))
 
 
-def _ghostly(picture: np.ndarray, places: Tensor, hidden: Tensor, scale: float, role: str | tuple) -> np.ndarray:
+def _draw_bones(image: Image.Image, places: Tensor, hidden: Tensor, role: str | tuple) -> None:
     """Draws the hidden bones of other motions, places (K, 22, 2), as lines, so that many of them make a cloud."""
-    image = Image.fromarray(picture)
     pen, tone = ImageDraw.Draw(image, "RGBA"), tuple(round(255 * c) for c in blend(colour(role), INK, 0.3))
     for joint in hidden.nonzero()[:, 0].tolist():
-        for a, b in zip(places[:, STANDARD.parents[joint]] * scale, places[:, joint] * scale, strict=True):
-            if bool(torch.isfinite(a).all() and torch.isfinite(b).all()):
-                pen.line([tuple(a.tolist()), tuple(b.tolist())], fill=(*tone, 90), width=2)
-    return np.asarray(image)
+        for bone in places[:, [STANDARD.parents[joint], joint]].flatten(1):
+            if bone.isfinite().all():
+                pen.line(bone.tolist(), fill=(*tone, 90), width=2)
 
 
-def _usual(points: Tensor) -> float:
-    """Points (T) of which as many are seen in a frame that shows any."""
-    return float(points[points > 0].float().median()) if (points > 0).any() else 0.0
-
-
-def _degrees(direction: Tensor) -> float:
-    return float(torch.rad2deg(torch.atan2(direction[1], direction[0])))
-
-
-def _dotted(picture: np.ndarray, seen: Observation2D, frame: int, scale: float, role: str | tuple) -> np.ndarray:
-    image = Image.fromarray(picture)
+def _draw_dots(image: Image.Image, seen: Observation2D, frame: int, scale: float, role: str | tuple) -> None:
     pen, tone = ImageDraw.Draw(image), tuple(round(255 * c) for c in blend(colour(role), "white", 0.5))
     for at in (seen.keypoints[frame][seen.confidence[frame] > 0] * scale).tolist():
         pen.circle(tuple(at), 2.5, fill=tone, outline=(20, 20, 20))
-    return np.asarray(image)

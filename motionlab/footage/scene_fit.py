@@ -36,15 +36,12 @@ from motionlab.skeleton import BALLS, STANDARD
 
 #: Frames (at 30 fps) that are fitted at once, and the windows of more: their length and what neighbours share.
 MAX_FRAMES, WINDOW, OVERLAP = 180, 120, 24
-#: People who are fitted at once: 120 frames of one take about 0.5 GB.
-BATCH = 8
-#: Frames for which somebody may be unseen and still be shown.
-_SHOWN = 15
+BATCH = 8  # people who are fitted at once: 120 frames of one take about 0.5 GB
+_SHOWN = 15  # frames for which somebody may be unseen and still be shown
 MIN_KEYPOINTS = 4  # keypoints that place a person
 _KEYS = ("root", "rot", "contacts", "betas", "latent_chi2")  # of each person
 _SAID = ("energy", "terms", "reasons", "notes")  # of their fit: energy (E, P) of the named terms
-#: Keypoints of BODY_25 that a fit uses.
-USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]
+USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]  # keypoints of BODY_25 that a fit uses
 _MODES = {"shooting": "lean", "rollout": "official"}  # of a fit by each solver: with rollout all of it is the original
 
 
@@ -94,9 +91,7 @@ class SceneFitConfig:
     @property
     def schedule(self) -> testops.Schedule | None:
         """The work of a fit; None is the official configuration."""
-        if self.quick:
-            return QUICK_WORK
-        return FULL_WORK if self.solver == "shooting" else None
+        return QUICK_WORK if self.quick else FULL_WORK if self.solver == "shooting" else None
 
     def fit(self, seen: Observation2D, camera: Camera | None, floor: str | None, **how) -> testops.Fitted:
         """Fits a batch under one camera."""
@@ -107,27 +102,18 @@ class SceneFitConfig:
 
 
 #: The work of a fit, as near as ``Schedule.lean`` in less than half of its time (CHANGELOG); a first look.
-FULL_WORK = replace(
-    testops.Schedule.lean(),
-    tolerance=3e-4,
-    guesses=True,
-    shooting=Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, two_starts=False, damping=(0.1, 0.01)),
-)
-QUICK_WORK = replace(
-    testops.Schedule.quick(),
-    steps=(2, 4, 3),
-    guesses=True,
-    shooting=Plan(2, 12, trial_rounds=0, mode_jumps=0, stride=8, damping=(0.1, 0.01)),
-)
+_PLAN = Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, two_starts=False, damping=(0.1, 0.01))
+FULL_WORK = replace(testops.Schedule.lean(), tolerance=3e-4, guesses=True, shooting=_PLAN)
+_QUICK_PLAN = Plan(2, 12, trial_rounds=0, mode_jumps=0, stride=8, damping=(0.1, 0.01))
+QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), guesses=True, shooting=_QUICK_PLAN)
 
 
 def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     """Fits people (P, T, 25, 2), keypoints of BODY_25 at 30 fps, who share one static camera.
 
-    Of another ``height`` than an adult's they are fitted as adults in a scene that is as much larger, see ``stature``.
-    Ctrl-C keeps the best so far of footage in one window; of longer footage it keeps the windows that are done.
-
-    Of each at least one frame shows ``MIN_KEYPOINTS`` of the keypoints that a fit uses.
+    Of each at least one frame shows ``MIN_KEYPOINTS`` of the keypoints that a fit uses. Of another ``height`` than an
+    adult's they are fitted as adults in a scene that is as much larger, see ``stature``. Ctrl-C keeps the best so far
+    of footage in one window; of longer footage it keeps the windows that are done.
 
     Raises:
         KeyboardInterrupt: stopped between windows.
@@ -139,9 +125,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     whole = frames <= MAX_FRAMES or config.solver == "rollout"  # which cuts windows of its own
     starts = (0,) if whole else window_starts(frames, WINDOW, OVERLAP)
     length = frames if whole else WINDOW
-    camera, floor, notes = config.camera, "camera" if config.placed else "guess", []
-    if config.camera is None:
-        floor = None
+    camera, notes = config.camera, []
+    floor = None if camera is None else "camera" if config.placed else "guess"
     if not config.placed and (people > 1 or len(starts) > 1):
         camera, notes = _common_camera(seen, enough, config)
         floor = "camera"
@@ -164,7 +149,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
                     raise KeyboardInterrupt
                 found = _arrays(fitted)
                 if config.draws and not many and not stopped:
-                    draws += _drawn(fitted, config.draws)
+                    random = {"generator": torch.Generator().manual_seed(0)}
+                    draws += [posterior.sample(fitted, config.draws, clip=k, **random) for k in range(len(some))]
                 if floor in (None, "guess"):  # one person, one window
                     camera = fitted.cameras[0]
                 if file is not None:
@@ -176,11 +162,9 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
                     energy.setdefault(name, [0.0] * people)[person] += value
             for row, person in enumerate(some):
                 pieces[person].append({"start": start} | {key: found[key][row] for key in _KEYS})
-    camera = camera if camera is not None else config.camera
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
     latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
-    near = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)
-    shown = near[:, 0] > 0
+    shown = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)[:, 0] > 0
     if not config.placed:
         motions, camera, lift = _on_the_floor(motions, shown, camera)
         up = torch.tensor([0.0, 0.0, lift])
@@ -189,16 +173,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     if config.draws and not draws:
         why = f"more than {MAX_FRAMES / 30:g} s is fitted in pieces" if many else "the fit was stopped"
         notes += [f"no other motions are drawn: {why}"]
-    return SceneFit(
-        tuple(motions), shown, seen, camera, latent_chi2, energy, len(starts), tuple(reasons),
-        tuple(dict.fromkeys(notes)), stopped, tuple(draws),
-    )  # fmt: skip
-
-
-def _drawn(fitted: testops.Fitted, count: int) -> list[Draws]:
-    """Other motions of each person of a fit."""
-    generator = torch.Generator().manual_seed(0)
-    return [posterior.sample(fitted, count, generator=generator, clip=k) for k in range(len(fitted.betas))]
+    said = tuple(reasons), tuple(dict.fromkeys(notes)), stopped, tuple(draws)
+    return SceneFit(tuple(motions), shown, seen, camera, latent_chi2, energy, len(starts), *said)
 
 
 def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> SceneFit:
@@ -233,15 +209,13 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
     if fitted.stopped:
         raise KeyboardInterrupt
     weight = part.confidence[..., USED].sum((1, 2)) / (1 + fitted.diagnostics.misfit.nan_to_num(1e6))
-    weight = weight / weight.sum()
-    turn = sum(w * c.rotation for w, c in zip(weight, fitted.cameras, strict=True))
-    centre = sum(w * c.centre for w, c in zip(weight, fitted.cameras, strict=True))
-    turn = rotation.nearest(turn)
+    weighed = list(zip(weight / weight.sum(), fitted.cameras, strict=True))
+    turn = rotation.nearest(sum(w * c.rotation for w, c in weighed))
+    centre = sum(w * c.centre for w, c in weighed)
     camera = replace(fitted.cameras[0], rotation=turn, translation=-turn @ centre)
     return camera, [note for note in fitted.notes if "camera assumed" in note]
 
 
-# ------------------------------------------------------------------------------------------------------------- windows
 def _arrays(fitted: testops.Fitted) -> dict[str, Tensor | np.ndarray]:
     """What is kept of a fit: tensors, and in arrays of text what it said."""
     motion, people = fitted.motion, len(fitted.betas)
@@ -283,10 +257,8 @@ def _kept(file: Path, people: int, length: int) -> dict[str, Tensor | np.ndarray
     if not file.exists():
         return None
     with reading(file, "delete it") as at:
-        found = {
-            key: value if value.dtype.kind == "U" else torch.from_numpy(value.copy())
-            for key, value in read_npz(at, (*_KEYS, *_SAID)).items()
-        }
+        kept = read_npz(at, (*_KEYS, *_SAID)).items()
+        found = {key: x if x.dtype.kind == "U" else torch.from_numpy(x.copy()) for key, x in kept}
         if set(found) != {*_KEYS, *_SAID} or found["root"].shape != (people, length, 3):
             raise at.error("not a window of this footage")
         return found

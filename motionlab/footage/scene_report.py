@@ -9,7 +9,6 @@ from pathlib import Path
 
 import jinja2
 import numpy as np
-import torch
 from torch import Tensor
 
 from motionlab.footage.scene_fit import USED, SceneFit
@@ -18,6 +17,7 @@ from motionlab.humor.evidence import FEET_SEEN, feet_seen
 from motionlab.humor.start import above_floor
 from motionlab.humor.testops import MAX_LATENT_CHI2, MISFIT_WIDTH
 from motionlab.metrics import pose
+from motionlab.motion import runs
 from motionlab.observation import BODY_25
 from motionlab.skeleton import FEET
 from motionlab.viz.palette import ROLE
@@ -41,27 +41,23 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
     motion, shown, seen = fitted.motions[k], fitted.shown[k], weight > 0
     rms, latent_chi2 = float(away[seen].square().mean().sqrt()), float(fitted.latent_chi2[k])
     contacts = motion.contacts[shown].mean(0).tolist()
-    by_time = [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]
     return {
         "id": each,
         "share": float(shown.float().mean()),
         "spans_s": _spans(shown, motion.fps),
         "detected": float(seen[shown][:, USED].float().mean()),
         "missing_by_joint": {BODY_25[n]: 1 - float(seen[:, n].float().mean()) for n in USED},
-        "pixels": {
-            "mean": float((weight * away).sum() / weight.sum()), "median": float(away[seen].median()), "rms": rms,
-            "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in USED if seen[:, n].any()},
-            "by_time": by_time,
-        },
+        "pixels": {"mean": float((weight * away).sum() / weight.sum()),
+                   "median": float(away[seen].median()), "rms": rms,
+                   "by_joint": {BODY_25[n]: float(away[:, n][seen[:, n]].mean()) for n in USED if seen[:, n].any()},
+                   "by_time": [float(a[s].median()) if s.any() else None for a, s in zip(away, seen, strict=True)]},
         "latent_chi2": latent_chi2 if np.isfinite(latent_chi2) else None,
         "doubtful": not (latent_chi2 <= MAX_LATENT_CHI2 and rms <= MISFIT_WIDTH * fitted.camera.width),
         "bounds": {"latent_chi2": MAX_LATENT_CHI2, "rms": MISFIT_WIDTH * fitted.camera.width},
         "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
         "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
-        "contacts_by_time": {
-            name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
-            for n, name in enumerate(motion.skeleton.contact_names) if name in FEET
-        },
+        "contacts_by_time": {name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
+                             for n, name in enumerate(motion.skeleton.contact_names) if name in FEET},
         "feet_above_floor_cm": 100 * float(above_floor(motion.positions[shown])),
         "feet_seen": float(feet_seen(fitted.seen.confidence[k])),
         "bones": dict(zip(body_shape.BONE_GROUPS, body_shape.from_skeleton(motion.skeleton).tolist(), strict=True)),
@@ -70,8 +66,7 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
 
 def _spans(mask: Tensor, fps: float) -> list[list[float]]:
     """Beginning and end in seconds of the runs of True in a mask (T,)."""
-    edges = torch.nn.functional.pad(mask.int(), (1, 1)).diff().nonzero()[:, 0].reshape(-1, 2)
-    return [[a / fps, b / fps] for a, b in edges.tolist()]
+    return [[a / fps, b / fps] for a, b in runs(mask)]
 
 
 def lines(record: Record) -> list[str]:
@@ -108,33 +103,29 @@ def _doubt(row: Record) -> str:
 def not_known(row: Record) -> list[str]:
     """Returns what cannot be known of a person: whether somebody sits or stands whose feet were not seen; who seems
     to be no adult."""
-    small = []
+    said = []
     if "seems_m" in row:
-        small = [
-            f"seems to be about {row['seems_m']:.2f} m tall, by where the feet stand, and is fitted as an adult: give "
-            "the height (--height METRES)"
-        ]
-    if row["feet_seen"] >= FEET_SEEN:
-        return small
-    return [
-        *small,
-        f"not known whether this person sits or stands: the feet were seen in {100 * row['feet_seen']:.0f} % of the "
-        "frames. The legs are a guess, and the height of the floor depends on it",
-    ]
+        tall = f"seems to be about {row['seems_m']:.2f} m tall, by where the feet stand"
+        said.append(f"{tall}, and is fitted as an adult: give the height (--height METRES)")
+    if row["feet_seen"] < FEET_SEEN:
+        share = f"the feet were seen in {100 * row['feet_seen']:.0f} % of the frames"
+        guess = "The legs are a guess, and the height of the floor depends on it"
+        said.append(f"not known whether this person sits or stands: {share}. {guess}")
+    return said
 
 
 def _moving(record: Record) -> str:
     """Says whether the camera, which is assumed not to move, moved."""
-    found = record["moving_camera"]
-    if found.get("cuts_s"):
+    found, said = record["moving_camera"], "it is assumed not to move, "
+    if found["cuts_s"]:
         when = ", ".join(f"{at:.1f} s" for at in found["cuts_s"][:9])
-        return f"it is assumed not to move, BUT THE FILM IS CUT before {when}: fit each part by itself"
+        return f"{said}BUT THE FILM IS CUT before {when}: fit each part by itself"
     if found["moved"] is None:
-        return "it is assumed not to move, which nothing could check: no footage, or no texture behind the people"
+        return f"{said}which nothing could check: no footage, or no texture behind the people"
     off = f"the background is off by up to {100 * found['background_drift']:.1f} % of the width"
     if found["moved"]:
-        return f"it is assumed not to move, BUT IT DOES: {off}; places and floor are wrong by that"
-    return f"it is assumed not to move, and does not: {off}"
+        return f"{said}BUT IT DOES: {off}; places and floor are wrong by that"
+    return f"{said}and does not: {off}"
 
 
 def _runs(words: Sequence[str]) -> str:
@@ -163,11 +154,10 @@ def page(record: Record, poster: bytes = b"") -> str:
     curves = [row["pixels"]["by_time"] for row in record["people"]]
     top = max((value for curve in curves for value in curve if value is not None), default=1.0) or 1.0
     last = max(1, len(curves[0]) - 1)
-    people = [
-        {**row, "ink": ROLE[PEOPLE[k % len(PEOPLE)]], "doubt": _doubt(row), "unknown": not_known(row),
-         "facts": _facts(row), "path": _path(curve, (_WIDE - 56) / last, 154 / top)}
-        for k, (row, curve) in enumerate(zip(record["people"], curves, strict=True))
-    ]  # fmt: skip
+    people = []
+    for k, (row, curve) in enumerate(zip(record["people"], curves, strict=True)):
+        shown = {"ink": ROLE[PEOPLE[k % len(PEOPLE)]], "path": _path(curve, (_WIDE - 56) / last, 154 / top)}
+        people.append(row | shown | {"doubt": _doubt(row), "unknown": not_known(row), "facts": _facts(row)})
     return _PAGE.render(
         name=Path(footage["path"] if footage else keypoints["path"]).name, record=record, about=about, people=people,
         poster=base64.b64encode(poster).decode(), listed=_LISTED, wide=_WIDE, top=top, end=last / record["fps"],

@@ -15,8 +15,7 @@ from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.skeleton import STANDARD
 
 STATURE = 1.84  # metres: the standard body from sole to crown, as ``body.BodyModel`` draws it
-#: From less of the standard's size on, a fit without ``height`` is doubtful.
-SMALL = 0.75
+SMALL = 0.75  # from less of the standard's size on, a fit without ``height`` is doubtful
 _FRAMES = 5  # in which a bone must be seen
 _FEET = {"heel": 0.015, "big_toe": 0.015, "ankle": 0.08}  # metres above the floor
 _BONES = [("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")]
@@ -31,8 +30,7 @@ def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
     """
     heights = torch.full((len(BODY_25),), torch.nan)
     for name, height in _FEET.items():
-        for side in ("left", "right"):
-            heights[BODY_25.index(f"{side}_{name}")] = height
+        heights[[BODY_25.index(f"{side}_{name}") for side in ("left", "right")]] = height
     points = torch.where(seen.confidence[..., None] > 0, seen.keypoints, torch.nan).double()
     k = camera.intrinsics.double()
     plane = (points - k[:2, 2]) / k[[0, 1], [0, 1]]
@@ -47,11 +45,9 @@ def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
             one, other = BODY_25.index(f"{side}_{a}"), BODY_25.index(f"{side}_{b}")
             length = float(STANDARD.offsets[STANDARD.index(f"{side}_{b}")].norm())
             sizes.append((plane[..., one, :] - plane[..., other, :]).norm(dim=-1) * lower / level / length)
-    found = []
-    for person in torch.stack(sizes, 1):  # (8, T)
-        usual = [row[row.isfinite()].quantile(0.9) for row in person if row.isfinite().sum() >= _FRAMES]
-        found.append(float(torch.stack(usual).median()) if usual else float("nan"))
-    return found
+    size = torch.stack(sizes, 1)  # (P, 8, T)
+    told = size.isfinite() & (size.isfinite().sum(-1, keepdim=True) >= _FRAMES)
+    return torch.where(told, size, torch.nan).nanquantile(0.9, dim=-1).nanmedian(-1).values.tolist()
 
 
 def resized(motion: Motion, factor: float) -> Motion:

@@ -3,5 +3,4 @@
 Colours come from ``palette.ROLE``; ``mannequin`` is what a scene is made of, ``viewpoint`` from where it is seen.
 """
 
-#: Drawn quickly, to see that it draws: films of a few pictures, edges not smoothed. A smoke run sets it.
-draft = False
+draft = False  # drawn quickly, to see that it draws: films of a few pictures, edges not smoothed; of smoke runs

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pyvista as pv
+from matplotlib.colors import to_rgb
 from scipy.ndimage import gaussian_filter
 
 from motionlab.viz.palette import PAPER, TILE, blend
@@ -17,22 +18,18 @@ _LIGHT = np.array([0.10, -0.16])  # metres a shadow moves sideways per metre of 
 def floor_tiles(centre: np.ndarray, radius: float) -> pv.PolyData:
     """Builds a checkerboard of 0.5 m tiles on the world's grid that fades into the paper, colours in "paint"."""
     low = np.floor((np.asarray(centre[:2]) - radius) / _TILE).astype(int)
-    count = int(np.ceil(2 * radius / _TILE)) + 1
-    fine = 2  # cells per tile: a smoother fade
-    step = _TILE / fine
-    i, j = np.meshgrid(np.arange(count * fine), np.arange(count * fine), indexing="ij")
-    corner = low * _TILE + np.stack((i, j), -1).reshape(-1, 2) * step
-    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * step
+    step = _TILE / 2  # two cells per tile: a smoother fade
+    cell = np.indices([2 * int(np.ceil(2 * radius / _TILE)) + 2] * 2).reshape(2, -1).T
+    corner = low * _TILE + cell * step
     points = np.full((len(corner), 4, 3), _FLOOR_Z)
-    points[..., :2] = corner[:, None] + square
-    odd = ((low[0] + i // fine + low[1] + j // fine) % 2).reshape(-1, 1)
+    points[..., :2] = corner[:, None] + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * step
+    odd = (low + cell // 2).sum(1, keepdims=True) % 2
     away = np.linalg.norm(corner + step / 2 - np.asarray(centre[:2]), axis=-1, keepdims=True) / radius
     fade = np.clip((away - 0.35) / 0.65, 0, 1)
     fade = fade * fade * (3 - 2 * fade)
-    dark, light = np.array(blend(TILE, TILE, 0)), np.array(blend(TILE, "white", 0.75))
-    rgb = (1 - fade) * np.where(odd, light, dark) + fade * np.array(blend(PAPER, PAPER, 0))
-    faces = np.insert(np.arange(4 * len(corner)).reshape(-1, 4), 0, 4, axis=1)
-    mesh = pv.PolyData(points.reshape(-1, 3), faces.ravel())
+    tile = np.where(odd, blend(TILE, "white", 0.75), to_rgb(TILE))
+    rgb = (1 - fade) * tile + fade * np.array(to_rgb(PAPER))
+    mesh = pv.PolyData.from_regular_faces(points.reshape(-1, 3), np.arange(4 * len(corner)).reshape(-1, 4))
     mesh.cell_data["paint"] = (255 * rgb).round().astype(np.uint8)
     return mesh
 
@@ -47,8 +44,7 @@ def _vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _darkness(points: np.ndarray, areas: np.ndarray, centre: np.ndarray, width: float = _WIDTH) -> np.ndarray:
     """How much light a surface keeps from the floor around ``centre``, (cells, cells) in 0..1, row = y.
 
-    The surface is splatted on the floor with its area; what is high is blurred widely, what touches
-    sharply, so contact is visible.
+    It is splatted on the floor with its area; what is high is blurred widely, what touches sharply: contact is visible.
     """
     height = np.clip(points[:, 2], 0, None)
     at = (points[:, :2] + height[:, None] * _LIGHT - centre[:2]) / width + 0.5
@@ -73,9 +69,7 @@ class Shadow:
         self.square = pv.PolyData(np.zeros((4, 3)), [4, 0, 1, 2, 3])
         self.square.active_texture_coordinates = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)
         self.pixels = pv.ImageData(dimensions=(_CELLS, _CELLS, 1))
-        rgba = np.zeros((_CELLS * _CELLS, 4), np.uint8)
-        rgba[:, :3] = (36, 40, 52)
-        self.pixels.point_data.set_scalars(rgba, "rgba")
+        self.pixels.point_data.set_scalars(np.tile(np.array([36, 40, 52, 0], np.uint8), (_CELLS**2, 1)), "rgba")
         texture = pv.Texture(self.pixels)
         texture.interpolate = True
         self.actor = plotter.add_mesh(self.square, texture=texture, lighting=False, reset_camera=False)

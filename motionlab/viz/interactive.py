@@ -26,8 +26,6 @@ from motionlab.viz.scene import Scene
 BACKENDS = ("static", "picture", "trame")
 _RATE = 25  # steps of the slider per second
 _REST, _WHEEL = 0.4, 1.1  # seconds without motion until edges are smoothed; times as far by a notch of the wheel
-_LONG = "min(100%, 34em)"
-_DRAWING = "<span style='color: #777777'>drawing …</span>"
 
 
 def _newest(draw: Callable[[object], None]) -> Callable[[object], None]:
@@ -131,8 +129,7 @@ def slider(
     """
     backend = _checked(backend)
     if backend == "static":
-        several = {"": motions} if isinstance(motions, Motion) else motions
-        return strip(several, roles=roles, body=body, ghost=ghost, azimuth=azimuth)
+        return strip(motions, roles=roles, body=body, ghost=ghost, azimuth=azimuth)
     import ipywidgets
 
     panels = 1 if isinstance(motions, Motion) else len(motions)
@@ -145,8 +142,7 @@ def slider(
 
 
 def _checked(backend: str | None) -> str:
-    if backend is None:
-        backend = "trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture"
+    backend = backend or ("trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture")
     if backend not in BACKENDS:
         raise ValueError(f"no backend {backend!r}; backends are {', '.join(BACKENDS)}")
     return backend
@@ -156,21 +152,12 @@ class Player:
     """A scene in JupyterLab as widgets to arrange: ``view``, ``play``, ``hand`` (a slider), ``clock`` (a label) and
     ``turns`` (buttons that turn the picture, where no mouse does).
 
-    Args:
-        seconds: how long the scene moves.
-        backend: as of :func:`slider`, but not "static".
-        steps: of the slider from start to end; by default 25 per second.
-        words: step of the picture that is shown, to what the clock says.
+    seconds: how long the scene moves. backend: as of :func:`slider`, but not "static". steps: of the slider from start
+    to end; by default 25 per second. words: step of the picture that is shown, to what the clock says.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        seconds: float,
-        backend: str | None = None,
-        *,
-        steps: int | None = None,
-        words: Callable[[int], str] | None = None,
+        self, scene: Scene, seconds: float, backend: str | None = None, steps: int = 0, words: Callable | None = None
     ) -> None:
         import ipywidgets
 
@@ -188,9 +175,9 @@ class Player:
         if _checked(backend) == "trame":
             self.view, self._refresh = _trame(scene)
         else:
-            width = f"{scene.size[0]}px"
-            self.view = ipywidgets.Image(value=jpeg(scene.image(), 92), format="jpeg", layout={"width": width})
+            self.view = ipywidgets.Image(format="jpeg", layout={"width": f"{scene.size[0]}px"})
             self._refresh = self._picture
+            self._picture()
             turn = _newest(self._turn)
             for way, degrees in (("left", 30.0), ("right", -30.0)):
                 button = ipywidgets.Button(icon=f"rotate-{way}", tooltip=f"turn to the {way}", layout={"width": "3em"})
@@ -213,22 +200,17 @@ class Player:
         self.clock.value = self._words(step)
 
 
-def explore(
-    draw: Callable[..., np.ndarray | Figure | Film], *, units: Mapping[str, str] | None = None, **knobs: object
-):
+def explore(draw: Callable, *, units: Mapping[str, str] | None = None, **knobs: object):
     """Builds an experiment with knobs: whenever one is turned, ``draw(**values)`` draws the picture anew.
 
     Where drawing cannot keep up, values that newer ones have overtaken are skipped. An error is shown below the
-    picture, which stays.
+    picture, which stays. It is an ipywidgets box with children (picture, message, knob, knob, ...).
 
     Args:
         draw: values by knob to a picture (H, W, 3) uint8, a matplotlib figure or a film.
         units: of knobs, by name: "gap (s)".
         knobs: as for ``ipywidgets.interact``: (low, high, step) and numbers make sliders, a list or mapping a menu,
             True or False a box to tick, or any widget. They begin at the defaults of ``draw``, where it has some.
-
-    Returns:
-        an ipywidgets box with children (picture, message, knob, knob, ...).
 
     Raises:
         ValueError: a unit of no knob.
@@ -241,34 +223,29 @@ def explore(
     hands = dict(zip(knobs, ipywidgets.interactive(lambda **values: None, **knobs).children[:-1], strict=True))
     begins = {p.name: p.default for p in inspect.signature(draw).parameters.values() if p.default is not p.empty}
     for name, hand in hands.items():
-        ready = isinstance(knobs[name], ipywidgets.Widget)
-        if not ready:
-            hand.layout.width = _LONG  # in ipywidgets's 300 pixels, one of them is ten of a thousand steps
-        if name in begins and not ready:
+        if not isinstance(knobs[name], ipywidgets.Widget):
+            hand.layout.width = "min(100%, 34em)"  # in ipywidgets's 300 pixels, one is ten of a thousand steps
             with contextlib.suppress(traitlets.TraitError):  # no value of this knob
-                hand.value = begins[name]
-        if name in (units or {}):
-            hand.description = f"{name} ({units[name]})"
+                hand.value = begins.get(name, hand.value)
+    for name, unit in (units or {}).items():
+        hands[name].description = f"{name} ({unit})"
     picture = ipywidgets.HTML()
     message = ipywidgets.HTML(style={"text_color": "#b3261e"})  # a Label would cut a long message
 
-    def redraw(values: dict[str, object]) -> None:
-        message.value = _DRAWING
+    def redraw(_: object) -> None:
+        message.value = "<span style='color: #777777'>drawing …</span>"
         try:
-            picture.value = _shown(draw(**values))
+            picture.value = _shown(draw(**{name: hand.value for name, hand in hands.items()}))
             message.value = ""
         except Exception as error:  # whatever the experiment raises is for the person who turned the knob
             message.value = html.escape(f"{type(error).__name__}: {error}")
-
-    def now() -> dict[str, object]:
-        return {name: hand.value for name, hand in hands.items()}
 
     turn = _newest(redraw)
     for hand in hands.values():
         hand.style.description_width = "initial"
         hand.continuous_update = False
-        hand.observe(lambda change: turn(now()), names="value")
-    redraw(now())
+        hand.observe(turn, names="value")
+    redraw(None)
     return ipywidgets.VBox([picture, message, *hands.values()])
 
 

@@ -60,9 +60,8 @@ class Figure:
         x = R_joint v + p_joint
         """
         turn = orientations[self.joint]
-        return np.einsum("vij,vj->vi", turn, self.vertices) + positions[self.joint], np.einsum(
-            "vij,vj->vi", turn, self.normals
-        )
+        vertices, normals = (np.einsum("vij,vj->vi", turn, x) for x in (self.vertices, self.normals))
+        return vertices + positions[self.joint], normals
 
 
 def _lathe(start, end, along, radius, widen=1.0):
@@ -107,13 +106,11 @@ def _ellipsoid(centre, radii):
 
 
 #: Radii in metres at both ends of the bone that ends in a joint, and its belly; for a person of 1.7 m.
-_MANNEQUIN = {
-    "hip": (0.075, 0.08, 0.0), "knee": (0.078, 0.046, 0.006), "ankle": (0.045, 0.029, 0.014),
-    "spine1": (0.108, 0.103, 0.0), "spine2": (0.103, 0.104, 0.0), "spine3": (0.104, 0.106, 0.0),
-    "neck": (0.06, 0.045, 0.0), "head": (0.045, 0.042, 0.0),
-    "collar": (0.05, 0.05, 0.0), "shoulder": (0.048, 0.052, 0.0),
-    "elbow": (0.048, 0.033, 0.005), "wrist": (0.034, 0.022, 0.006),
-}  # fmt: skip
+_MANNEQUIN = {"hip": (0.075, 0.08, 0.0), "knee": (0.078, 0.046, 0.006), "ankle": (0.045, 0.029, 0.014),
+              "spine1": (0.108, 0.103, 0.0), "spine2": (0.103, 0.104, 0.0), "spine3": (0.104, 0.106, 0.0),
+              "neck": (0.06, 0.045, 0.0), "head": (0.045, 0.042, 0.0), "collar": (0.05, 0.05, 0.0),
+              "shoulder": (0.048, 0.052, 0.0), "elbow": (0.048, 0.033, 0.005),
+              "wrist": (0.034, 0.022, 0.006)}  # fmt: skip
 
 
 def _mannequin(skeleton: Skeleton, offsets: np.ndarray):
@@ -142,11 +139,8 @@ def _mannequin(skeleton: Skeleton, offsets: np.ndarray):
         heel, tip = (0.0, ground + heel_r, -0.03 * size), (x, ground + toe, z)
         yield ankle, side, _limb(heel, tip, heel_r, toe, widen=1.6)
         yield ankle, side, _limb((0, 0, 0), heel, 0.032 * size, heel_r)
-        yield (
-            ball,
-            side,
-            _limb((0, toe - skeleton.sole, 0), (x / 3, toe - skeleton.sole, 0.055 * size), toe, toe, 0, 2.6),
-        )
+        high = toe - skeleton.sole
+        yield ball, side, _limb((0, high, 0), (x / 3, high, 0.055 * size), toe, toe, 0, 2.6)
 
 
 def _any_body(skeleton: Skeleton, offsets: np.ndarray):
@@ -179,24 +173,18 @@ def build(skeleton: Skeleton, base: str | tuple) -> Figure:
     tones = sides(base)
     mannequin = skeleton.names == STANDARD.names
     parts = list((_mannequin if mannequin else _any_body)(skeleton, offsets))
-    if not parts:
-        parts = [(0, "middle", _ellipsoid((0, 0, 0), (0.05, 0.05, 0.05)))]
-    joint = np.concatenate([np.full(len(v), j) for j, _, (v, _, _) in parts])
-    colours = np.concatenate([np.tile(tones[side], (len(v), 1)) for _, side, (v, _, _) in parts])
-    vertices = np.concatenate([v for _, _, (v, _, _) in parts])
+    joints, where, solids = zip(*parts or [(0, "middle", _ellipsoid((0, 0, 0), (0.05, 0.05, 0.05)))], strict=True)
+    counts = [len(v) for v, _, _ in solids]
+    joint, colours = np.repeat(joints, counts), np.repeat([tones[side] for side in where], counts, axis=0)
+    vertices, normals = (np.concatenate([solid[k] for solid in solids]) for k in (0, 1))
     if mannequin:  # a light visor: which way the head looks
         head = joint == skeleton.index("head")
         local = (vertices - (vertices[head].max(0) + vertices[head].min(0)) / 2) / np.ptp(vertices[head], axis=0) * 2
         face = np.clip((local[:, 2] - 0.45) / 0.3, 0, 1) * np.clip((0.75 - np.abs(local[:, 1])) / 0.3, 0, 1) * head
         colours += 0.75 * face[:, None] * (1 - colours)
-    first = np.cumsum([0] + [len(v) for _, _, (v, _, _) in parts[:-1]])
-    return Figure(
-        vertices=vertices,
-        normals=np.concatenate([n for _, _, (_, n, _) in parts]),
-        faces=np.concatenate([f + i for i, (_, _, (_, _, f)) in zip(first, parts, strict=True)]),
-        joint=joint,
-        colours=(255 * colours).round().astype(np.uint8),
-    )
+    first = np.cumsum([0, *counts[:-1]])
+    faces = np.concatenate([f + i for i, (_, _, f) in zip(first, solids, strict=True)])
+    return Figure(vertices, normals, faces, joint, (255 * colours).round().astype(np.uint8))
 
 
 #: The look of every solid: matt, a little light from everywhere, a soft gleam.
@@ -234,65 +222,40 @@ def move_surface(mesh: pv.PolyData, points: np.ndarray, normals: np.ndarray) -> 
 
 def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 1.0) -> pv.Actor:
     """Shows a surface in one colour (r, g, b), or in a colour per vertex (V, 3) uint8; returns its actor."""
+    look = {"color": paint}
     if isinstance(paint, np.ndarray):
-        mesh.point_data["paint"] = paint
-        look = {"scalars": "paint", "rgb": True}
-    else:
-        look = {"color": paint}
-    opaque = opacity == 1
-    layers = [
-        plotter.add_mesh(mesh, opacity=share, reset_camera=False, **look, **SKIN)
-        for share in ([1.0] if opaque else [1e-3, opacity])
-    ]
-    if not opaque:  # first its depth alone, so that nothing inside or behind shows through
+        mesh.point_data["paint"], look = paint, {"scalars": "paint", "rgb": True}
+    shares = [1.0] if opacity == 1 else [1e-3, opacity]
+    layers = [plotter.add_mesh(mesh, opacity=share, reset_camera=False, **look, **SKIN) for share in shares]
+    if opacity != 1:  # first its depth alone, so that nothing inside or behind shows through
         deep = vtkInformation()
         deep.Set(vtkOpenGLActor.GLDepthMaskOverride(), 1)
         layers[0].SetPropertyKeys(deep)
         for layer in layers:  # and a little deeper than it is, so that it does not paint what is in its place
             layer.mapper.SetResolveCoincidentTopologyToPolygonOffset()
             layer.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, _DEEPER)
-    actor = layers[-1]
-    actor.prop.interpolation = "Phong"
-    return actor
+    layers[-1].prop.interpolation = "Phong"
+    return layers[-1]
 
 
 def add_field(plotter: pv.Plotter, mesh: pv.PolyData, values: np.ndarray, title: str, limits, cmap: str) -> pv.Actor:
     """Shows a scalar per vertex on a surface, with a bar that names it."""
     mesh.point_data["field"] = values
-    height = plotter.window_size[1]
-    bar = {
-        "title": title, "vertical": True, "position_x": 0.86, "position_y": 0.2, "width": 0.05, "height": 0.55,
-        "title_font_size": max(height // 34, 9), "label_font_size": max(height // 38, 8), "color": INK,
-        "n_labels": 3, "fmt": "%.2g",
-    }  # fmt: skip
-    actor = plotter.add_mesh(
-        mesh, scalars="field", clim=limits, cmap=cmap, reset_camera=False, scalar_bar_args=bar, **SKIN
-    )
+    high = plotter.window_size[1]
+    bar = {"title": title, "vertical": True, "position_x": 0.86, "position_y": 0.2, "width": 0.05, "height": 0.55,
+           "title_font_size": max(high // 34, 9), "label_font_size": max(high // 38, 8), "color": INK,
+           "n_labels": 3, "fmt": "%.2g"}  # fmt: skip
+    look = {"scalars": "field", "clim": limits, "cmap": cmap, "scalar_bar_args": bar}
+    actor = plotter.add_mesh(mesh, reset_camera=False, **look, **SKIN)
     actor.prop.interpolation = "Phong"
     plotter.scalar_bars[title].SetVerticalTitleSeparation(8)
     return actor
 
 
-def polyline(path: np.ndarray) -> pv.PolyData:
-    """Builds one line through points (T, 3); a single point gives a line without length."""
-    path = np.repeat(path, 2, axis=0) if len(path) == 1 else path
-    return pv.PolyData(np.array(path, float), lines=[len(path), *range(len(path))])
-
-
-def add_line(plotter: pv.Plotter, line: pv.PolyData, paint, width: float) -> None:
-    """Shows a line ``width`` pixels wide."""
-    plotter.add_mesh(
-        line, color=paint, line_width=width, render_lines_as_tubes=True, reset_camera=False, ambient=0.6, diffuse=0.4
-    )
-
-
 def add_lights(plotter: pv.Plotter) -> None:
     """Adds three lights that travel with the eye: a warm key from the upper left, a cool fill, a rim from behind."""
-    for position, tint, strength in (
-        ((-1.4, 1.8, 2.0), "#fff6ea", 1.0),
-        ((2.0, 0.3, 1.4), "#e6efff", 0.6),
-        ((0.6, 1.6, -2.2), "#ffffff", 0.6),
-    ):
+    lamps = [((-1.4, 1.8, 2.0), "#fff6ea", 1.0), ((2.0, 0.3, 1.4), "#e6efff", 0.6), ((0.6, 1.6, -2.2), "#ffffff", 0.6)]
+    for position, tint, strength in lamps:
         lamp = pv.Light(position=position, color=tint, light_type="camera light", intensity=strength)
         plotter.add_light(lamp, only_active=True)
 

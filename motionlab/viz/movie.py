@@ -32,12 +32,9 @@ Mesh = tuple[Tensor, Tensor]  # vertices (1, V, 3), faces (F, 3)
 _WOOD, _GHOST = "#b9a88f", (0.35, 0.35, 0.35)
 _DRAFT = 5  # pictures of a film that is only drawn to see that it draws
 _HANDLE = (0.835, 0.369, 0.0)  # vermillion: seen beside every role
-_ARMS_LEGS = [
-    (f"{side}_{a}", f"{side}_{b}")
-    for side in ("left", "right")
-    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"),
-                 ("ankle", "big_toe"), ("big_toe", "small_toe"), ("eye", "ear"))
-]  # fmt: skip
+_ARMS_LEGS = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (
+    ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"),
+    ("ankle", "big_toe"), ("big_toe", "small_toe"), ("eye", "ear"))]  # fmt: skip
 _MIDDLE = [("neck", "mid_hip"), ("nose", "neck"), ("nose", "left_eye"), ("nose", "right_eye")]
 _WITH_NECK = [("neck", "left_shoulder"), ("neck", "right_shoulder"), ("mid_hip", "left_hip"), ("mid_hip", "right_hip")]
 _WITHOUT = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"), ("left_shoulder", "left_hip"),
@@ -47,9 +44,8 @@ _FINE = 2  # drawn twice as large and reduced: smooth edges
 
 def drawn(times: np.ndarray) -> np.ndarray:
     """Returns the times (N,) at which a film's pictures are drawn: all, or for a draft a few, both ends among them."""
-    if viz.draft and len(times) > _DRAFT:
-        return times[np.linspace(0, len(times) - 1, _DRAFT).round().astype(int)]
-    return times
+    count = min(len(times), _DRAFT) if viz.draft else len(times)
+    return times[np.linspace(0, len(times) - 1, count).round().astype(int)]
 
 
 def meshes(occluders: Sequence[object]) -> list[Mesh]:
@@ -78,10 +74,8 @@ class Film:
         if self.path.suffix == ".gif":
             return f'<img alt="{self.path.stem}" src="data:image/gif;base64,{data}">'
         still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}" if self.poster else ""
-        return (
-            f'<video controls loop autoplay muted playsinline style="max-width:100%" poster="{still}" '
-            f'src="data:video/mp4;base64,{data}"></video>'
-        )
+        look = f'controls loop autoplay muted playsinline style="max-width:100%" poster="{still}"'
+        return f'<video {look} src="data:video/mp4;base64,{data}"></video>'
 
 
 def write_film(
@@ -213,20 +207,16 @@ def film(
     scene.smooth(False)
     count = min(int(seconds / speed * fps + 1e-6) + 1, most)
     pace = max(speed, seconds * fps / most)
-    off = not (_watched() if progress is None else progress)
+    if progress is None:  # somebody sees a bar in a terminal, or in a notebook that is not run in a batch
+        progress = not os.environ.get("MOTIONLAB_BATCH") and ("ipykernel" in sys.modules or sys.stderr.isatty())
     with scene:
         clock = scene.caption()
         pictures = []
-        for now in tqdm(drawn(np.arange(count) * pace / fps), f"film {path.name}", leave=False, disable=off):
+        for now in tqdm(drawn(np.arange(count) * pace / fps), f"film {path.name}", leave=False, disable=not progress):
             clock(f"{now:.1f} s" + (f"  ({pace:.1f} x life)" if abs(pace - 1) > 0.05 else ""))
             pictures.append(np.asarray(Image.fromarray(scene.image(float(now))).reduce(fine)))
     frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / count)  # a draft keeps its length
     return Film(path, frames, rate, seconds, pace, size_on_disk, jpeg(pictures[len(pictures) // 2]))
-
-
-def _watched() -> bool:
-    """Whether somebody sees a bar: in a terminal, or in a notebook that is not run in a batch."""
-    return not os.environ.get("MOTIONLAB_BATCH") and ("ipykernel" in sys.modules or sys.stderr.isatty())
 
 
 def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
@@ -253,38 +243,27 @@ def strip(
     Travel is taken out; heights above the floor are kept, and who flies off leaves the picture. Several motions
     (label -> motion) are rows of ``size`` each, in colours as of :func:`film`; a ``ghost`` stands as far off as it is.
     """
-    if not isinstance(motions, Motion):
-        panels, roles = _cast(motions, roles)
-        if azimuth is None:
-            azimuth = _across(next(iter(panels.values())), size)
-        rows = [(label, motion, roles[label], None if motion is ghost else ghost) for label, motion in panels.items()]
-    else:
-        rows = [("", motions, role, ghost)]
-    return np.concatenate([_row(*row, n, body, size, azimuth) for row in rows])
-
-
-def _across(motion: Motion, size: tuple[int, int]) -> float:
-    return viewpoint.good_azimuth(mannequin.array(motion.root), viewpoint.left_of(motion), size[0] / size[1])
-
-
-def _row(label, motion, role, ghost, n, body, size, azimuth) -> np.ndarray:
-    frames = np.linspace(0, single(motion).frames - 1, n).round().astype(int)
-    azimuth = _across(motion, size) if azimuth is None else azimuth
-    turn = np.radians(azimuth)
+    panels, roles = _cast(motions, {"": role} | dict(roles or {}))
+    if azimuth is None:
+        first = single(next(iter(panels.values())))
+        azimuth = viewpoint.good_azimuth(mannequin.array(first.root), viewpoint.left_of(first), size[0] / size[1])
+    turn, rows = np.radians(azimuth), []
     towards, right = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
-    with Scene(size, panels=(label,), azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:
-        reach = mannequin.array(motion.positions[frames]) - mannequin.array(motion.root[frames])[:, None]
-        side = reach @ right
-        gap = 0.25
-        step = np.concatenate(([0.0], np.cumsum(side.max(1)[:-1] - side.min(1)[1:] + gap)))
-        height = mannequin.array(motion.root[frames, 2])
-        for place, frame, near in zip(step, frames, height < height.min() + 1.5, strict=True):
-            home = torch.tensor(place * right - [*mannequin.array(motion.root[frame, :2]), 0.0]).to(motion.root)
-            here, beside = (m and replace(m, root=m.root + home) for m in (motion, ghost))
-            _add(scene, here, role, body, beside, frame=int(frame), framed=near)
-            if motion.frames > 1:
-                scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
-        return scene.floor().image()
+    for label, motion in panels.items():
+        frames = np.linspace(0, single(motion).frames - 1, n).round().astype(int)
+        root, both = mannequin.array(motion.root[frames]), (motion, None if motion is ghost else ghost)
+        side = (mannequin.array(motion.positions[frames]) - root[:, None]) @ right
+        step = np.concatenate(([0.0], np.cumsum(side.max(1)[:-1] - side.min(1)[1:] + 0.25)))
+        with Scene(size, panels=(label,), azimuth=azimuth, elevation=6.0, footroom=0.13) as scene:
+            for place, frame, at in zip(step, frames, root, strict=True):
+                home = torch.tensor(place * right - [*at[:2], 0.0]).to(motion.root)
+                here, beside = (m and replace(m, root=m.root + home) for m in both)
+                near = at[2] < root[:, 2].min() + 1.5
+                _add(scene, here, roles[label], body, beside, frame=int(frame), framed=near)
+                if motion.frames > 1:
+                    scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
+            rows.append(scene.floor().image())
+    return np.concatenate(rows)
 
 
 def pose_row(
@@ -316,15 +295,11 @@ def stack_pictures(rows: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate(list(rows))
 
 
-def overlay(
-    observation: Observation2D, picture, frame: int, role: str | tuple = "stage2", width: float = 4.0
-) -> np.ndarray:
+def overlay(observation: Observation2D, picture, frame: int, role="stage2", width: float = 4.0) -> np.ndarray:
     """Draws one frame of keypoints over a picture (H, W, 3) uint8: confidence is opacity, left light, right dark.
 
-    Args:
-        picture: (H, W, 3) uint8 of the observation's camera at any scale; without a camera its
-            pixels are the observation's.
-        width: of a limb, pixels of the picture.
+    picture: of the observation's camera at any scale; without a camera its pixels are the observation's. width: of a
+    limb, pixels of the picture.
 
     Raises:
         ShapeError: a batch of observations. IndexError: no such frame.
@@ -345,20 +320,17 @@ def overlay(
         side = next((side_of(n) for n in names if side_of(n) != "middle"), "middle")
         return (*tones[side], round(255 * strength))
 
-    for a, b in _limbs(observation.names):
+    names = observation.names  # of BODY_25, BODY_25B and COCO alike: what is joined has both ends
+    torso = _WITH_NECK if {"neck", "mid_hip"} <= set(names) else _WITHOUT
+    for one, other in [ends for ends in _ARMS_LEGS + _MIDDLE + torso if set(ends) <= set(names)]:
+        a, b = names.index(one), names.index(other)
         strength = min(confidence[a], confidence[b])
         if strength > 0:
             ends = [tuple(at[a]), tuple(at[b])]
             pen.line(ends, fill=(255, 255, 255, round(210 * strength)), width=round(1.7 * wide))
-            pen.line(ends, fill=ink(strength, [observation.names[a], observation.names[b]]), width=round(wide))
+            pen.line(ends, fill=ink(strength, [one, other]), width=round(wide))
     for k in np.flatnonzero(confidence > 0):
         for radius, fill in ((1.15, (255, 255, 255, round(230 * confidence[k]))),
-                             (0.8, ink(confidence[k], [observation.names[k]]))):  # fmt: skip
+                             (0.8, ink(confidence[k], [names[k]]))):  # fmt: skip
             pen.circle(tuple(at[k]), radius * wide, fill=fill)
     return np.asarray(Image.alpha_composite(image.convert("RGBA"), layer.reduce(_FINE)).convert("RGB"))
-
-
-def _limbs(names: tuple[str, ...]) -> list[tuple[int, int]]:
-    """The keypoints to join, for BODY_25, BODY_25B and COCO alike: pairs of indices whose names are all there."""
-    torso = _WITH_NECK if {"neck", "mid_hip"} <= set(names) else _WITHOUT
-    return [(names.index(a), names.index(b)) for a, b in _ARMS_LEGS + _MIDDLE + torso if a in names and b in names]

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from matplotlib.colors import to_rgb
 
-#: What a thing is in the argument, and the one colour it has in all notebooks.
-ROLE = {
+ROLE = {  # what a thing is in the argument, and the one colour it has in all notebooks
     "truth": "#1b1b1b",
     "observation": "#8a8a8a",
     "baseline": "#e69f00",
@@ -31,11 +30,9 @@ def colour(role: str | tuple[float, float, float]) -> tuple[float, float, float]
     Raises:
         KeyError: no such role; lists the roles.
     """
-    if not isinstance(role, str):
-        return to_rgb(role)
-    if role not in ROLE:
+    if isinstance(role, str) and role not in ROLE:
         raise KeyError(f"no role {role!r}; roles are {', '.join(ROLE)}")
-    return to_rgb(ROLE[role])
+    return to_rgb(ROLE[role] if isinstance(role, str) else role)
 
 
 def blend(a: str | tuple, b: str | tuple, share: float) -> tuple[float, float, float]:
@@ -45,11 +42,8 @@ def blend(a: str | tuple, b: str | tuple, share: float) -> tuple[float, float, f
 
 def sides(base: str | tuple) -> dict[str, tuple[float, float, float]]:
     """Computes three tones of one colour: the left of a body is light, the right is dark, the middle between."""
-    return {
-        "left": blend(base, "white", 0.42),
-        "middle": blend(base, "white", 0.16),
-        "right": blend(base, "black", 0.2),
-    }
+    tones = {"left": ("white", 0.42), "middle": ("white", 0.16), "right": ("black", 0.2)}
+    return {side: blend(base, *tone) for side, tone in tones.items()}
 
 
 def side_of(name: str) -> str:

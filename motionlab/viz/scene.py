@@ -1,7 +1,5 @@
-"""A scene: figures, bodies, things and trails over a floor, seen through one window, moving in sync.
-
->>> scene = Scene().floor().skeleton(motion, "ours").trail(motion, "left_wrist")  # doctest: +SKIP
->>> scene.image(seconds=0.5)  # doctest: +SKIP
+"""A scene: figures, bodies, things and trails over a floor, seen through one window, moving in sync:
+``Scene().floor().skeleton(motion, "ours").trail(motion, "left_wrist").image(seconds=0.5)``.
 
 Importing this module chooses, once, which window VTK draws into: quiet where there is no display.
 """
@@ -38,29 +36,17 @@ with contextlib.suppress(ImportError, OSError):
 #: What gives Debian and Ubuntu a window to draw into.
 RENDERING_PACKAGES = "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri libglx-mesa0 libxrender1"
 RENDERING_REMEDY = f"apt-get update && apt-get install -y {RENDERING_PACKAGES}"
-_WINDOWS = {"libEGL.so.1": "vtkEGLRenderWindow", "libOSMesa.so.8": "vtkOSOpenGLRenderWindow"}
+
+# Without a display, EGL (else OSMesa) is chosen before VTK tries X and writes about it to stderr.
+if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    for _library, _window in {"libEGL.so.1": "vtkEGLRenderWindow", "libOSMesa.so.8": "vtkOSOpenGLRenderWindow"}.items():
+        with contextlib.suppress(OSError):
+            ctypes.CDLL(_library)
+            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", _window)
+            break
 
 
-def _prepare_offscreen() -> None:
-    """Without a display, choose EGL (else OSMesa) before VTK tries X and writes about it to stderr."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        window = next((name for library, name in _WINDOWS.items() if _opens(library)), None)
-        if window:
-            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", window)
-
-
-def _opens(library: str) -> bool:
-    try:
-        ctypes.CDLL(library)
-    except OSError:
-        return False
-    return True
-
-
-_prepare_offscreen()
-
-
-class Scene:
+class Scene(contextlib.AbstractContextManager):
     """One window with one panel, or several side by side; what adds to it returns it, so calls chain.
 
     Args:
@@ -70,6 +56,7 @@ class Scene:
         azimuth, elevation: degrees of the eye around and above the subject; azimuth from the motion by default.
         follow: the eye travels with the subject instead of standing far enough away.
         footroom: share of the picture left free below.
+        fine: smooth edges; where the processor draws, that takes three times as long.
 
     Time is in seconds, so motions of different frame rates stay in sync; past its end a motion holds still.
     A ``role`` is a name of ``palette.ROLE`` or a colour (r, g, b) in 0..1.
@@ -88,17 +75,17 @@ class Scene:
         elevation: float = 11.0,
         follow: bool = False,
         footroom: float = 0.04,
+        fine: bool = True,
     ) -> None:
         size = size or ((camera.width, camera.height) if camera else (640, 480))
         if camera and abs(size[0] / len(panels) * camera.height / camera.width - size[1]) > 1:
             raise ShapeError(f"size: expected the shape of the camera's {camera.width} x {camera.height}, got {size}")
-        self.size, self.panels, self.camera = size, tuple(panels), camera
-        self.azimuth, self.elevation, self.follow, self.footroom = azimuth, elevation, follow, footroom
-        self.seconds = 0.0
-        self.plotter = pv.Plotter(
-            shape=(1, len(panels)), off_screen=True, window_size=list(size), border=False, lighting="none"
-        )
-        if viz.draft:
+        self.size, self.panels, self.camera, self.seconds = size, tuple(panels), camera, 0.0
+        self._view = {"aspect": size[0] / len(panels) / size[1], "azimuth": azimuth, "elevation": elevation}
+        self._view |= {"follow": follow, "headroom": 0.11 if any(panels) else 0.02, "footroom": footroom}
+        how = {"window_size": list(size), "border": False, "lighting": "none"}
+        self.plotter = pv.Plotter(off_screen=True, shape=(1, len(panels)), **how)
+        if viz.draft or not fine:
             self.plotter.render_window.SetMultiSamples(0)
         self._updates: list[Callable[[float], None]] = []
         self._figures: dict[int, tuple[list[Motion], int]] = {}  # panel -> motion of its last one, place in _seen
@@ -106,13 +93,11 @@ class Scene:
         self._hand: tuple[np.ndarray, np.ndarray] | None = None  # eye from what it looks at, and that from the subject
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
         self._gone: list[pv.CornerAnnotation] = []  # what a panel says whose people are all out of it
-        self._left: np.ndarray | None = None
-        self._floors: set[int] = set()
-        self._framing: viewpoint.Framing | None = None
+        self._left, self._framing, self._floor = None, None, False
         for index, label in enumerate(panels):
             plotter = self._panel(index)
             plotter.set_background(PAPER)
-            if not viz.draft:
+            if fine and not viz.draft:
                 plotter.enable_anti_aliasing("ssaa", all_renderers=False)
             mannequin.add_lights(plotter)
             self._gone.append(mannequin.add_words(plotter, "left the picture", "lower_right", max(size[1] / 60, 6)))
@@ -132,37 +117,26 @@ class Scene:
         self._framing = None
         return self
 
-    def floor(self, panel: int | None = None) -> Scene:
-        """Adds a checkerboard of 0.5 m tiles at z = 0 in one panel, or in all."""
-        self._floors |= set(range(len(self.panels))) if panel is None else {panel}
-        self._framing = None
+    def _move(self, update: Callable[[float], None]) -> Scene:
+        """Calls a function of the time now, and whenever that changes."""
+        self._updates.append(update)
+        update(self.seconds)
         return self
 
-    def skeleton(
-        self,
-        motion: Motion,
-        role: str | tuple = "ours",
-        *,
-        frame: int | None = None,
-        shadow: float = 0.42,
-        opacity: float = 1.0,
-        framed: bool = True,
-        panel: int = 0,
-    ) -> Scene:
-        """Adds a figure with volume, its left side light and its right side dark.
+    def floor(self) -> Scene:
+        """Adds a checkerboard of 0.5 m tiles at z = 0 in all panels."""
+        self._floor, self._framing = True, None
+        return self
 
-        ``frame`` holds one frame; by default the figure moves with the scene's time. ``shadow`` is how dark its
-        shadow is, 0 for none. What is not ``framed`` does not decide where the eye stands.
-        """
+    def skeleton(self, motion: Motion, role: str | tuple = "ours", *, opacity: float = 1.0, **how) -> Scene:
+        """Adds a figure with volume, its left side light and its right side dark; ``how`` as of :meth:`body`."""
         figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
 
         def shape(now: Motion, index: int) -> tuple[np.ndarray, np.ndarray]:
             return figure.pose(*(mannequin.array(whole[index]) for whole in now.world))
 
-        def show(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor:
-            return mannequin.add_surface(plotter, mesh, figure.colours, opacity)
-
-        return self._surface(motion, shape, figure.faces, show, frame, shadow, panel, framed=framed)
+        show = partial(mannequin.add_surface, paint=figure.colours, opacity=opacity)
+        return self._surface(motion, shape, figure.faces, show, **how)
 
     def exchange(self, motion: Motion, *, panel: int = 0) -> Scene:
         """Puts another motion, of as many joints and frames, into a panel's last framed figure or body that moves.
@@ -189,37 +163,30 @@ class Scene:
         title: str = "",
         limits: tuple[float, float] | None = None,
         cmap: str = "viridis",
-        frame: int | None = None,
-        shadow: float = 0.42,
         opacity: float = 1.0,
-        framed: bool = True,
-        panel: int = 0,
-        shown: Sequence[bool] | None = None,
+        **how,
     ) -> Scene:
         """Adds the skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``.
 
-        ``shown`` says in which of the motion's frames there is somebody; by default in all.
+        how: ``panel``, 0 by default. ``frame`` holds one frame; by default it moves with the scene's time. ``shadow``
+            is how dark its shadow is, 0 for none. ``shown`` says in which of the motion's frames there is somebody; by
+            default in all. What is not ``framed`` does not decide where the eye stands.
         """
-        paint = blend(colour(role), "white", 0.3)
+        show = partial(mannequin.add_surface, paint=blend(colour(role), "white", 0.3), opacity=opacity)
+        if field is not None:
+            show = partial(mannequin.add_field, values=mannequin.array(field), title=title, limits=limits, cmap=cmap)
         faces = body.faces.cpu().numpy()
-        mannequin.single(motion)
+        return self._surface(mannequin.single(motion), partial(_skin, body), faces, show, **how)
 
-        def show(plotter: pv.Plotter, mesh: pv.PolyData) -> pv.Actor | None:
-            if field is None:
-                return mannequin.add_surface(plotter, mesh, paint, opacity)
-            return mannequin.add_field(plotter, mesh, mannequin.array(field), title, limits, cmap)
-
-        return self._surface(motion, partial(_skin, body), faces, show, frame, shadow, panel, shown, framed)
-
-    def _surface(self, motion, shape, faces, show, frame, shadow, panel, there=None, framed=True) -> Scene:
+    def _surface(self, motion, shape, faces, show, *, panel=0, frame=None, shadow=0.42, shown=None, framed=True):
         if frame is not None and not -motion.frames <= frame < motion.frames:
             raise IndexError(f"frame {frame}: the motion has {motion.frames}")
         plotter, held = self._panel(panel), [motion]
-        shown = 0 if frame is None else frame % motion.frames
-        drawn = (shown, motion)
+        first = 0 if frame is None else frame % motion.frames
+        drawn = (first, motion)
         if self._left is None:
-            self._left = viewpoint.left_of(motion.cut(shown, shown + 1))
-        points, normals = shape(motion, shown)
+            self._left = viewpoint.left_of(motion.cut(first, first + 1))
+        points, normals = shape(motion, first)
         mesh = mannequin.surface(points, faces, normals)
         shade = Shadow(plotter, points, faces, shadow) if shadow else None
         actors = [show(plotter, mesh), *([shade.actor] if shade else [])]
@@ -228,9 +195,8 @@ class Scene:
             nonlocal drawn
             now = held[0]
             index = int(np.clip(round(seconds * now.fps), 0, now.frames - 1))
-            if there is not None:
-                for actor in actors:
-                    actor.SetVisibility(bool(there[index]))
+            for actor in actors if shown is not None else ():
+                actor.SetVisibility(bool(shown[index]))
             if (index, now) != drawn:
                 drawn = (index, now)
                 points, normals = shape(now, index)
@@ -239,19 +205,16 @@ class Scene:
                     shade.move(points)
 
         positions = mannequin.array(motion.positions)
-        if there is not None and np.any(there):  # where nobody is shown does not decide where the eye stands
-            on = np.flatnonzero(there)
+        if shown is not None and np.any(shown):  # where nobody is shown does not decide where the eye stands
+            on = np.flatnonzero(shown)
             positions = positions[on[(np.searchsorted(on, np.arange(len(positions)), "right") - 1).clip(0)]]
         if frame is None:
-            self._updates.append(update)
-            update(self.seconds)
+            self._move(update)
             if framed:
                 self._figures[panel] = (held, len(self._seen[panel]))
-        return self._watch(panel, positions if frame is None else positions[[shown]], motion.fps) if framed else self
+        return self._watch(panel, positions if frame is None else positions[[first]], motion.fps) if framed else self
 
-    def mesh(
-        self, vertices, faces, paint: str | tuple = LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0
-    ) -> Scene:
+    def mesh(self, vertices, faces, paint=LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0) -> Scene:
         """Adds a mesh of vertices (V, 3), metres, and faces (F, 3) that stands still: a table."""
         points = np.array(vertices, float)
         mesh = pv.PolyData.from_regular_faces(points, np.asarray(faces))
@@ -266,20 +229,10 @@ class Scene:
         self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, at[None])
 
-    def ellipsoid(
-        self,
-        centres,
-        shapes,
-        fps: float,
-        role: str | tuple = "ours",
-        *,
-        opacity: float = 0.4,
-        shown: Sequence[bool] | None = None,
-        panel: int = 0,
-    ) -> Scene:
+    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, shown=None, panel: int = 0) -> Scene:
         """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves.
 
-        ``shown`` says in which frames it is there; by default in all.
+        ``shown`` (T,) says in which frames it is there; by default in all.
         """
         size, axes = np.linalg.eigh(np.asarray(shapes, float))
         roots = axes * np.sqrt(np.maximum(size, 0.0))[:, None]
@@ -287,32 +240,29 @@ class Scene:
             roots = roots * np.asarray(shown, float)[:, None, None]
         at, ball = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
         unit, mesh = np.array(ball.points), ball.copy()
-        self._panel(panel).add_mesh(
-            mesh, color=colour(role), opacity=opacity, lighting=False, reset_camera=False, render=False
-        )
+        look = {"lighting": False, "reset_camera": False, "render": False}
+        self._panel(panel).add_mesh(mesh, color=colour(role), opacity=0.4, **look)
 
         def update(seconds: float) -> None:
             now = int(np.clip(round(seconds * fps), 0, len(at) - 1))
             mesh.points = unit @ roots[now].T + at[now]
 
-        self._updates.append(update)
-        update(self.seconds)
-        return self
+        return self._move(update)
 
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Scene:
         """Adds the path of a joint: pale as a whole, strong up to now."""
         path = mannequin.array(mannequin.single(motion).positions[:, motion.skeleton.index(joint)])
-        plotter, paint, line = self._panel(panel), colour(role), mannequin.polyline(path)
-        mannequin.add_line(plotter, mannequin.polyline(path), blend(paint, PAPER, 0.6), 2)
-        mannequin.add_line(plotter, line, paint, 5)
+        count, look = max(len(path), 2), {"render_lines_as_tubes": True, "ambient": 0.6, "diffuse": 0.4}
+        at = path[np.minimum(np.arange(count), len(path) - 1)]
+        for paint, width in ((blend(colour(role), PAPER, 0.6), 2), (colour(role), 5)):
+            line = pv.PolyData(at.copy(), lines=[count, *range(count)])
+            self._panel(panel).add_mesh(line, color=paint, line_width=width, reset_camera=False, **look)
 
         def update(seconds: float) -> None:
             now = int(np.clip(round(seconds * motion.fps), 0, len(path) - 1))
-            line.points = path[np.minimum(np.arange(line.n_points), now)]
+            line.points = path[np.minimum(np.arange(count), now)]
 
-        self._updates.append(update)
-        update(self.seconds)
-        return self._watch(panel, path[:, None], motion.fps)
+        return self._move(update)._watch(panel, path[:, None], motion.fps)
 
     def caption(self) -> Callable[[str], None]:
         """Adds a line of text in the lower left corner; returns the function that sets it."""
@@ -321,36 +271,11 @@ class Scene:
 
     def label(self, point, text: str, *, panel: int = 0) -> Scene:
         """Adds a word that stays upright at a point (3,) of the world."""
-        self._panel(panel).add_point_labels(
-            np.asarray(point, float)[None], [text], font_size=max(round(self.size[1] / 22), 10), text_color=INK,
-            font_family="arial", bold=False, show_points=False, shape=None, always_visible=True, reset_camera=False,
-            justification_horizontal="center", justification_vertical="top",
-        )  # fmt: skip
+        look = {"text_color": INK, "font_family": "arial", "bold": False, "show_points": False, "shape": None,
+                "always_visible": True, "reset_camera": False, "font_size": max(round(self.size[1] / 22), 10),
+                "justification_horizontal": "center", "justification_vertical": "top"}  # fmt: skip
+        self._panel(panel).add_point_labels(np.asarray(point, float)[None], [text], **look)
         return self
-
-    def _arrange(self) -> None:
-        width, height = self.size
-        self._framing = viewpoint.choose_framing(
-            self._seen,
-            aspect=width / len(self.panels) / height,
-            azimuth=self.azimuth,
-            elevation=self.elevation,
-            left=self._left,
-            follow=self.follow,
-            headroom=0.11 if any(self.panels) else 0.02,
-            footroom=self.footroom,
-        )
-        for panel in self._floors:
-            tiles = floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
-            self._panel(panel).add_mesh(
-                tiles,
-                scalars="paint",
-                rgb=True,
-                lighting=False,
-                reset_camera=False,
-                name=f"floor {panel}",
-                render=False,
-            )
 
     def at(self, seconds: float) -> Scene:
         """Moves everything to a time."""
@@ -359,14 +284,17 @@ class Scene:
         for update in self._updates:
             update(self.seconds)
         if fresh:
-            self._arrange()
-        if fresh or turned or self.follow:
+            self._framing = viewpoint.choose_framing(self._seen, left=self._left, **self._view)
+            for panel in range(len(self.panels)) if self._floor else ():
+                tiles = floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
+                look = {"scalars": "paint", "rgb": True, "lighting": False, "reset_camera": False, "render": False}
+                self._panel(panel).add_mesh(tiles, name=f"floor {panel}", **look)
+        if fresh or turned or self._view["follow"]:
             self._aim()
         for seen, words, renderer in zip(self._seen, self._gone, self.plotter.renderers, strict=True):
             moving = [path[min(round(self.seconds * fps), len(path) - 1)] for path, fps in seen if len(path) > 1]
-            words.SetVisibility(
-                bool(moving and not self.camera) and not self._framing.sees(renderer.camera, np.concatenate(moving))
-            )
+            gone = moving and not self.camera and not self._framing.sees(renderer.camera, np.concatenate(moving))
+            words.SetVisibility(bool(gone))
         return self
 
     def _aim(self) -> None:
@@ -410,15 +338,11 @@ class Scene:
         self.plotter.render()
         return np.ascontiguousarray(self.plotter.screenshot(return_img=True)[..., :3])
 
-    def close(self) -> None:
+    def close(self, *_) -> None:
         """Closes the window."""
         self.plotter.close()
 
-    def __enter__(self) -> Scene:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
+    __exit__ = close
 
 
 @lru_cache(maxsize=16)  # a film draws a frame of several people twice: over the footage and from the side

@@ -92,14 +92,14 @@ def choose_framing(
     different places get their own. Who flies off does not make the others small: what is far from where a panel mostly
     is, by metres and by half as much again as in the calmer half of the panels, does not count.
 
-    Args:
-        seen: per panel the paths (T, M, 3) with their frames per second.
-        aspect: width over height of a panel. left: (3,) towards the first subject's left, or None.
+    seen: per panel the paths (T, M, 3) with their frames per second. aspect: width over height of a panel. left: (3,)
+    towards the first subject's left, or None.
     """
     paths = [[path for path, _ in panel] for panel in seen]
     moving = [max(panel, key=lambda entry: len(entry[0]), default=(np.zeros((1, 1, 3)), 1.0)) for panel in seen]
     azimuth = good_azimuth(moving[0][0][:, 0], left, aspect) if azimuth is None else azimuth
-    towards = _direction(azimuth, elevation)
+    a, e = np.radians((azimuth, elevation))  # from +x towards +y; above the floor
+    towards = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
     tracks, local = [], paths
     if follow:
         tracks = [(_steady_track(path[:, 0], fps), fps) for path, fps in moving]
@@ -131,17 +131,10 @@ def left_of(motion: Motion) -> np.ndarray | None:
     return at[side == "left"].mean(0) - at[side == "right"].mean(0)
 
 
-def _direction(azimuth: float, elevation: float) -> np.ndarray:
-    """Unit vector from the subject to the eye; azimuth in degrees from +x towards +y, elevation above the floor."""
-    a, e = np.radians((azimuth, elevation))
-    return np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
-
-
 def good_azimuth(path: np.ndarray, left: np.ndarray | None, aspect: float) -> float:
     """Chooses the azimuth in degrees for a motion: across its travel, from the front where the picture is narrow.
 
-    Args:
-        path: (T, 3) of the root. left: (3,) towards the subject's left at the start, or None.
+    path: (T, 3) of the root. left: (3,) towards the subject's left at the start, or None.
     """
     travel = path[-1, :2] - path[0, :2]
     if np.linalg.norm(travel) > 1.0:
@@ -151,9 +144,7 @@ def good_azimuth(path: np.ndarray, left: np.ndarray | None, aspect: float) -> fl
     return float(np.degrees(np.arctan2(left[1], left[0]))) - 90.0 - 32.0  # its front, then to its right
 
 
-def _fit_view(
-    points: np.ndarray, towards: np.ndarray, aspect: float, headroom: float, footroom: float
-) -> tuple[np.ndarray, float]:
+def _fit_view(points: np.ndarray, towards: np.ndarray, aspect: float, headroom: float, footroom: float):
     """Target (3,) and distance from which all points (N, 3) are seen, shares of the picture free above and below."""
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
@@ -205,22 +196,20 @@ def _half_angle(aspect: float) -> float:
 def match_camera(eye: pv.Camera, camera: Camera) -> None:
     """Makes a VTK camera see what a pinhole camera sees: any focal lengths, skew and principal point.
 
-    A pixel (u, v) of a w x h image is x = 2u/w - 1, y = 1 - 2v/h on VTK's screen, whatever its size in
-    pixels, so a window of the same shape shows the same picture at any scale. VTK's own view angle knows
-    neither skew nor two focal lengths; hence the explicit projection matrix.
+    A pixel (u, v) of a w x h image is x = 2u/w - 1, y = 1 - 2v/h on VTK's screen, whatever its size in pixels, so a
+    window of the same shape shows the same picture at any scale. VTK's own view angle knows neither skew nor two focal
+    lengths; hence the explicit projection matrix.
     """
     k, r, centre = array(camera.intrinsics), array(camera.rotation), array(camera.centre)
     w, h = camera.width, camera.height
     eye.position, eye.focal_point, eye.up = centre, centre + r[2], -r[1]
     eye.view_angle = float(np.degrees(2 * np.arctan(h / 2 / k[1, 1])))
-    projection = np.array(
-        [  # columns: VTK's camera axes, x right, y up, z backward
-            [2 * k[0, 0] / w, -2 * k[0, 1] / w, 1 - 2 * k[0, 2] / w, 0],
-            [0, 2 * k[1, 1] / h, 2 * k[1, 2] / h - 1, 0],
-            [0, 0, -(_FAR + _NEAR) / (_FAR - _NEAR), -2 * _FAR * _NEAR / (_FAR - _NEAR)],
-            [0, 0, -1, 0],
-        ]
-    )
-    eye.SetExplicitProjectionTransformMatrix(pv.vtkmatrix_from_array(projection))
+    projection = [  # columns: VTK's camera axes, x right, y up, z backward
+        [2 * k[0, 0] / w, -2 * k[0, 1] / w, 1 - 2 * k[0, 2] / w, 0],
+        [0, 2 * k[1, 1] / h, 2 * k[1, 2] / h - 1, 0],
+        [0, 0, -(_FAR + _NEAR) / (_FAR - _NEAR), -2 * _FAR * _NEAR / (_FAR - _NEAR)],
+        [0, 0, -1, 0],
+    ]
+    eye.SetExplicitProjectionTransformMatrix(pv.vtkmatrix_from_array(np.array(projection)))
     eye.UseExplicitProjectionTransformMatrixOn()
     eye.clipping_range = _NEAR, _FAR
