@@ -16,8 +16,8 @@ from torch import Tensor
 from tqdm.auto import tqdm
 
 from motionlab import rotation
+from motionlab.animate.foot_locking import lock_feet
 from motionlab.contact import with_contacts
-from motionlab.diffusion.foot_locking import lock_feet
 from motionlab.motion import FPS, Motion, resample, runs
 from motionlab.retarget import Retargeted, match_joints, retarget
 from motionlab.skeleton import STANDARD, fk

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.animate.filling import Animated
-from motionlab.animate.footlock import locked
+from motionlab.animate.planting import planted
 from motionlab.errors import DataError
 from motionlab.motion import Motion, fix_root_horizontally
 
@@ -87,5 +87,5 @@ def _planted_around(motion: Motion) -> Motion:
     period, travel = motion.frames - 1, motion.root[-1] - motion.root[0]
     at = torch.arange(3 * period + 1)
     root = motion.root[at % period] + (at // period)[:, None] * travel
-    made = locked(replace(motion, root=root, rot=motion.rot[at % period])).motion.rot[period : 2 * period]
+    made = planted(replace(motion, root=root, rot=motion.rot[at % period])).motion.rot[period : 2 * period]
     return replace(motion, rot=torch.cat((made, made[:1])))

@@ -20,10 +20,10 @@ from torch import Tensor
 from motionlab import baselines, cleaning, rotation
 from motionlab.animate.corrections import WINDOW, KeyMask, Rig, by_windows, on_model_body
 from motionlab.animate.filling import DRAWS, Animated, curves, found_joints, inbetween, network
+from motionlab.animate.foot_locking import lock_feet
 from motionlab.contact import resting_heights, with_contacts
 from motionlab.diffusion import completer
 from motionlab.diffusion.denoising import Noise, smoothed
-from motionlab.diffusion.foot_locking import lock_feet
 from motionlab.diffusion.model import motion_model
 from motionlab.diffusion.poses import finished, load
 from motionlab.errors import DataError

@@ -201,9 +201,9 @@ def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> An
 
 
 def _plant(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
-    from motionlab.animate import footlock
+    from motionlab.animate import planting
 
-    return footlock.locked(motion)
+    return planting.planted(motion)
 
 
 def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:

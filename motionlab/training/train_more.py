@@ -5,7 +5,6 @@ weights are judged on the validation people; only better ones are written. After
 from the best weights, at half the rate. When it is killed, nothing but the last minutes is lost.
 """
 
-import atexit
 import contextlib
 import hashlib
 import math
@@ -143,13 +142,11 @@ def _kept(name: str, out: Path) -> Path:
 
 
 def _give_way() -> None:
-    """The lowest priority, among the programs of this session and against other sessions, until the end."""
+    """The lowest priority; of a session that it leads (``setsid``) also against other sessions."""
     with contextlib.suppress(OSError, AttributeError):
         os.nice(19)
-        group = Path("/proc/self/autogroup")  # of Linux, whose nice ends at a session
-        before = group.read_text("ascii").rsplit(maxsplit=1)[-1]
-        group.write_text("19", encoding="ascii")
-        atexit.register(group.write_text, before, encoding="ascii")
+        if os.getsid(0) == os.getpid():
+            Path("/proc/self/autogroup").write_text("19", encoding="ascii")  # of Linux, whose nice ends at a session
 
 
 def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:

@@ -11,11 +11,11 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
+from motionlab.animate.foot_locking import lock_feet
 from motionlab.bench import cases
 from motionlab.bench.person_windows import PersonWindows, by_person
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
-from motionlab.diffusion.foot_locking import lock_feet
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.heading import heading_frame, local_to_world, world_to_local
 from motionlab.metrics.gait import skating_ratio

@@ -1,6 +1,6 @@
 """Foot lock: the feet of a motion that stand stay in place.
 
-Source: Kovar et al. 2002 (``diffusion.foot_locking``).
+Source: Kovar et al. 2002 (``animate.foot_locking``).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import torch
 
 from motionlab.animate.corrections import LEGS, KeyMask, Rig
 from motionlab.animate.filling import Animated
-from motionlab.diffusion.foot_locking import standing_feet
+from motionlab.animate.foot_locking import standing_feet
 from motionlab.errors import DataError
 from motionlab.metrics.gait import slide_in_contact_mm
 from motionlab.motion import Motion
@@ -21,10 +21,10 @@ from motionlab.skeleton import ANKLES, BALLS
 _STAYS = 1e-4  # metres: feet that locking moves by less stay to the bit, and their legs
 
 
-def locked(motion: Motion) -> Animated:
+def planted(motion: Motion) -> Animated:
     """Computes a motion (T) whose feet stay in place where they stand; only hips, knees and ankles turn otherwise.
 
-    What stands: low and slow (``diffusion.foot_locking``), on the floor where the feet are lowest.
+    What stands: low and slow (``animate.foot_locking``), on the floor where the feet are lowest.
 
     Raises:
         DataError: fewer than two frames, or a skeleton whose joints are not known.

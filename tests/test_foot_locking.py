@@ -7,8 +7,8 @@ import torch
 
 from data_synth import scenes
 from motionlab import rotation
+from motionlab.animate.foot_locking import _FADE, _stands, lock_feet
 from motionlab.contact import with_contacts
-from motionlab.diffusion.foot_locking import _FADE, _stands, lock_feet
 from motionlab.errors import DataError, ShapeError
 from motionlab.skeleton import ANKLES, BALLS, STANDARD
 from tests.figures import standing

@@ -17,9 +17,9 @@ from torch import Tensor
 from torch.nn.functional import max_pool1d, normalize, one_hot, pad
 
 from motionlab import rotation
+from motionlab.animate import footsteps
 from motionlab.baselines import between_known, nearest_known
 from motionlab.contact import contacts_from_positions, resting_heights, with_contacts
-from motionlab.diffusion import footsteps
 from motionlab.diffusion.curves import lines_between
 from motionlab.errors import DataError, ShapeError
 from motionlab.ik import two_bone_ik

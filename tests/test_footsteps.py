@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.diffusion import footsteps
-from motionlab.diffusion.foot_locking import lock_feet
+from motionlab.animate import footsteps
+from motionlab.animate.foot_locking import lock_feet
 from motionlab.ik import two_bone_ik
 from motionlab.skeleton import ANKLES, BALLS, STANDARD
 from tests.figures import standing
