@@ -114,4 +114,4 @@ def _angles(part: str, R: Tensor, sign: float) -> dict[str, Tensor]:
         "ankle": {"dorsiflexion": -a, "inversion": sign * c, "rotation": sign * b},
         "foot": {"extension": -a},
         "wrist": {"pronation": a, "flexion": c},
-    }.get(part, {"flexion": a, "bend": c, "twist": b})
+    }.get(part, {"flexion": a, "bend": c, "twist": b})  # the spine's, neck and head with it

@@ -35,8 +35,8 @@ def _mask(known: Tensor, motion: Motion) -> Tensor:
 def nearest_known(known: Tensor) -> tuple[Tensor, Tensor]:
     """Computes the nearest known frame at or before each frame, and at or after it, from a mask of known frames.
 
-    known: (..., T) bool. Two (..., T) int64 frame indices, always within 0..T-1: before the first known frame both are
-    the first one, after the last one both are the last; without meaning in a row that knows no frame.
+    known: (..., T) bool. Returns two (..., T) int64 frame indices, always within 0..T-1: before the first known frame
+    both are the first one, after the last one both are the last; without meaning in a row that knows no frame.
     """
     frames = known.shape[-1]
     time = torch.arange(frames, device=known.device).expand(known.shape)

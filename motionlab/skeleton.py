@@ -104,8 +104,10 @@ class Skeleton:
         return above
 
     def rest_positions(self, turned: Tensor | None = None) -> Tensor:
-        """Computes joint positions (..., J, 3) of the rest pose, metres, rest frame, root at the origin; or where every
-        joint is ``turned`` (J, 3, 3) against that frame, of offsets (J, 3)."""
+        """Computes joint positions (..., J, 3) of the rest pose, metres, rest frame, root at the origin.
+
+        turned: rotations (J, 3, 3) of the joints against that frame, for offsets (J, 3).
+        """
         positions = [torch.zeros_like(self.offsets[..., 0, :])]
         for joint, parent in enumerate(self.parents[1:], start=1):
             bone = self.offsets[..., joint, :]

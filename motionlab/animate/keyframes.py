@@ -27,10 +27,11 @@ _SIZE = (840, 420)
 
 
 def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | str | None = "anny", **guided: str):
-    """Builds an editor of a file: the motion beside what is made between its keys (``filling.inbetween``), one slider
-    that moves and plays both frame by frame over a strip of the keys, what is kept, a method, and a button that
-    exports. Whatever is changed is filled in and drawn anew at once. What goes wrong is said below in red; the picture
-    stays, and nothing is exported until it is right.
+    """Builds an editor of a file: the motion beside what is made between its keys (``filling.inbetween``).
+
+    One slider moves and plays both frame by frame over a strip of the keys; beside it are what is kept, a method, and a
+    button that exports. Whatever is changed is filled in and drawn anew at once. What goes wrong is said below in red;
+    the picture stays, and nothing is exported until it is right.
 
     It is an ipywidgets box; its attribute ``hands`` holds by name what a person touches and reads: player, frames,
     keep, previous, next, joints, method, file, export, message. backend: of the view, as of ``slider``: "picture" or

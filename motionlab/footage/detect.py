@@ -78,7 +78,7 @@ def find(
             raise ShapeError(f"finder: expected (P, 26, 2) and (P, 26), got {points.shape} and {scores.shape}")
         sure = np.where(scores < _LOWEST, 0.0, scores)
         frames.append(np.concatenate((points, sure[..., None]), -1))
-    table = np.zeros((len(frames), max(1, *map(len, frames)), len(HALPE_26), 3), np.float32)
+    table = np.zeros((len(frames), max([1, *map(len, frames)]), len(HALPE_26), 3), np.float32)
     for row, people in zip(table, frames, strict=True):
         row[: len(people)] = people
     if not (table[..., 2] > 0).any():

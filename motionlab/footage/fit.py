@@ -148,8 +148,8 @@ def run_clip(
     priors = pretrained.load_priors(motion=prior, pose=pose_prior, initial=initial, pelvis=pelvis)
     begins("is the camera still?", progress)
     drift = None if clip.video is None else clip.drift()  # before the fit, which it must not lose
-    how = (solver, quick, windows, progress, height, draws)
-    fitted = fit_people(seen, SceneFitConfig(priors, clip.camera, clip.placed, clip.size, *how))
+    how = {"solver": solver, "quick": quick, "keep": windows, "progress": progress, "height": height, "draws": draws}
+    fitted = fit_people(seen, SceneFitConfig(priors, clip.camera, clip.placed, clip.size, **how))
     record = _record(clip, ids, fitted, drift, height)
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
     others = {k: each for k, each in enumerate(fitted.draws) if not record["people"][k]["doubtful"]}

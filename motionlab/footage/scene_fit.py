@@ -173,8 +173,10 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     if config.draws and not draws:
         why = f"more than {MAX_FRAMES / 30:g} s is fitted in pieces" if many else "the fit was stopped"
         notes += [f"no other motions are drawn: {why}"]
-    said = tuple(reasons), tuple(dict.fromkeys(notes)), stopped, tuple(draws)
-    return SceneFit(tuple(motions), shown, seen, camera, latent_chi2, energy, len(starts), *said)
+    return SceneFit(
+        tuple(motions), shown, seen, camera, latent_chi2, energy, windows=len(starts), reasons=tuple(reasons),
+        notes=tuple(dict.fromkeys(notes)), stopped=stopped, draws=tuple(draws),
+    )  # fmt: skip
 
 
 def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> SceneFit:

@@ -240,10 +240,10 @@ def start_stage_3(
             z, factors = (x.unflatten(0, (-1, len(starts))) for x in (z, _factors(curvature, sharp, weight)))
         else:
             z, factors = unknowns.cut_windows(infer(priors.motion, states)[0].mean, starts, length - 1), None
-    orient, speeds = from_matrix(first["root_orient"], mode), (first["trans_vel"], first["root_orient_vel"])
     unknown = Unknowns(
-        first["trans"], orient, latent[:, list(starts)], *speeds, first["joints_vel"].flatten(-2), z=z, **shared
-    )
+        first["trans"], from_matrix(first["root_orient"], mode), latent[:, list(starts)], first["trans_vel"],
+        first["root_orient_vel"], first["joints_vel"].flatten(-2), z=z, **shared,
+    )  # fmt: skip
     return unknown, factors
 
 

@@ -226,7 +226,7 @@ def stitch_windows(x: Tensor, starts: Sequence[int]) -> Tensor:
         shared = out.shape[1] - start
         ramp = (torch.arange(1, shared + 1) / (shared + 1)).to(x)
         before, after = out[:, start:], x[:, w, :shared]
-        if x.ndim > 5:
+        if x.ndim > 5:  # rotations: numbers of a frame have four axes here
             ramp = ramp.reshape(-1, *(1,) * (x.ndim - 5))  # (shared, 1 per joint)
             mixed = rotation.slerp(before, after, ramp.expand(before.shape[1:-2]))
         else:

@@ -60,8 +60,10 @@ def standard_name(name: str) -> str:
 
 
 def names_of(at: Location, people: np.ndarray, layout: str | None = None) -> tuple[str, ...]:
-    """Finds the names of the points of people (N, K, 3) by their number; BODY_25 and BODY_25B by the face. Or those of
-    a layout of ``LAYOUTS``, if it fits."""
+    """Finds the names of the points of people (N, K, 3) by their number; BODY_25 and BODY_25B by the face.
+
+    layout: of ``LAYOUTS``; then its names, if it fits.
+    """
     layout, count = layout or _detect_layout(people), people.shape[1]
     names = LAYOUTS.get(layout or "", ())
     if len(names) != count:

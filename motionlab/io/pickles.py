@@ -23,8 +23,11 @@ from motionlab.io.reading import LARGEST, Location, read_npy
 
 
 def read_pickle(at: Location, data: bytes) -> object:
-    """Reads a pickle, or what joblib (packed or not), torch or numpy.save wrote: containers of what :func:`array_of`
-    takes; of a .npy its array, or of one of objects the first. What asks for anything else is refused."""
+    """Reads a pickle, or what joblib (packed or not), torch or numpy.save wrote, without executing anything.
+
+    Containers of what :func:`array_of` takes; of a .npy its array, or of one of objects the first. What asks for
+    anything else is refused.
+    """
     if data[:6] == b"\x93NUMPY":
         return read_npy(at, data, first_object)
     at.place = "pickle"

@@ -128,15 +128,18 @@ class Scene(contextlib.AbstractContextManager):
         self._floor, self._framing = True, None
         return self
 
-    def skeleton(self, motion: Motion, role: str | tuple = "ours", *, opacity: float = 1.0, **how) -> Scene:
-        """Adds a figure with volume, its left side light and its right side dark; ``how`` as of :meth:`body`."""
+    def skeleton(
+        self, motion: Motion, role: str | tuple = "ours", *, opacity: float = 1.0, panel: int = 0,
+        frame: int | None = None, shadow: float = 0.42, framed: bool = True,
+    ) -> Scene:  # fmt: skip
+        """Adds a figure with volume, its left side light and its right side dark; options as of :meth:`body`."""
         figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
 
         def shape(now: Motion, index: int) -> tuple[np.ndarray, np.ndarray]:
             return figure.pose(*(mannequin.array(whole[index]) for whole in now.world))
 
         show = partial(mannequin.add_surface, paint=figure.colours, opacity=opacity)
-        return self._surface(motion, shape, figure.faces, show, **how)
+        return self._surface(motion, shape, figure.faces, show, panel, frame, shadow, framed)
 
     def exchange(self, motion: Motion, *, panel: int = 0) -> Scene:
         """Puts another motion, of as many joints and frames, into a panel's last framed figure or body that moves.
@@ -154,31 +157,25 @@ class Scene(contextlib.AbstractContextManager):
         return self
 
     def body(
-        self,
-        body: BodyModel,
-        motion: Motion,
-        role: str | tuple = "ours",
-        *,
-        field: Tensor | None = None,
-        title: str = "",
-        limits: tuple[float, float] | None = None,
-        cmap: str = "viridis",
-        opacity: float = 1.0,
-        **how,
-    ) -> Scene:
+        self, body: BodyModel, motion: Motion, role: str | tuple = "ours", *, field: Tensor | None = None,
+        title: str = "", limits: tuple[float, float] | None = None, cmap: str = "viridis", opacity: float = 1.0,
+        panel: int = 0, frame: int | None = None, shadow: float = 0.42, framed: bool = True,
+        shown: Sequence[bool] | None = None,
+    ) -> Scene:  # fmt: skip
         """Adds the skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``.
 
-        how: ``panel``, 0 by default. ``frame`` holds one frame; by default it moves with the scene's time. ``shadow``
-            is how dark its shadow is, 0 for none. ``shown`` says in which of the motion's frames there is somebody; by
-            default in all. What is not ``framed`` does not decide where the eye stands.
+        ``frame`` holds one frame; by default it moves with the scene's time. ``shadow`` is how dark its shadow is, 0
+        for none. ``shown`` says in which of the motion's frames there is somebody; by default in all. What is not
+        ``framed`` does not decide where the eye stands.
         """
         show = partial(mannequin.add_surface, paint=blend(colour(role), "white", 0.3), opacity=opacity)
         if field is not None:
             show = partial(mannequin.add_field, values=mannequin.array(field), title=title, limits=limits, cmap=cmap)
         faces = body.faces.cpu().numpy()
-        return self._surface(mannequin.single(motion), partial(_skin, body), faces, show, **how)
+        motion = mannequin.single(motion)
+        return self._surface(motion, partial(_skin, body), faces, show, panel, frame, shadow, framed, shown)
 
-    def _surface(self, motion, shape, faces, show, *, panel=0, frame=None, shadow=0.42, shown=None, framed=True):
+    def _surface(self, motion, shape, faces, show, panel, frame, shadow, framed, shown=None) -> Scene:
         if frame is not None and not -motion.frames <= frame < motion.frames:
             raise IndexError(f"frame {frame}: the motion has {motion.frames}")
         plotter, held = self._panel(panel), [motion]

@@ -196,9 +196,11 @@ class Lab:
             baseline = torch.as_tensor(baseline, dtype=torch.float64).flatten()
             generator = self.generator(f"{test}/{source}/baseline")
             baseline = interval(baseline, statistic, generator)[0] if baseline.numel() else None
-        said = rule.unit, statistic, rule.bound_text(), findings.judge(rule, low, high, n)
-        where = self.notebook, self.profile, rule.baseline, baseline, note
-        finding = Finding(test, source, value, low, high, n, *said, *where)
+        verdict = findings.judge(rule, low, high, n)
+        finding = Finding(
+            test, source, value, low, high, n, rule.unit, statistic, rule.bound_text(), verdict, self.notebook,
+            self.profile, rule.baseline, baseline, note,
+        )  # fmt: skip
         self.found = [f for f in self.found if (f.test, f.source) != (test, source)] + [finding]
         return finding
 

@@ -6,10 +6,10 @@ import base64
 import html
 import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 from latex2mathml.converter import convert
 from nbconvert.filters import Highlight2HTML, ansi2html
@@ -17,6 +17,10 @@ from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 from PIL import Image
 
 from suite.staleness import number_of
+
+if TYPE_CHECKING:
+    from suite.findings import Claim, Record
+    from suite.report import Check
 
 _EMBEDDED = re.compile(r'data:(?:image|video)/([\w+]+);base64,([^"]+)')
 _PICTURE = re.compile(r"<(?:video|img)\b[^<]*(?:</video>)?\s*")
@@ -45,10 +49,31 @@ class Picture:
         return re.sub(r"[*`$]", "", _SENTENCE.split(self.caption.strip())[0])
 
 
-def read(notebook: Path, out: Path) -> SimpleNamespace:
-    """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media. Returns its name,
-    number and title; question, answer, the points that its first cell makes in bold, and body as HTML; pictures, and
-    the one for its card: the first film, else the first."""
+@dataclass
+class Page:
+    """A notebook in the report; question, answer, the points that its first cell makes in bold, and body are HTML.
+
+    picture: for its card, the first film, else the first. What the report adds: the record, what today's run says, the
+    data that its numbers need, its claims with their verdicts.
+    """
+
+    name: str
+    number: str
+    title: str
+    question: str
+    answer: str
+    points: list[str]
+    pictures: list[Picture]
+    picture: Picture | None
+    body: str
+    record: Record | None = None
+    check: Check | None = None
+    needs: str = ""
+    claims: Sequence[tuple[Claim, str]] = ()
+
+
+def read(notebook: Path, out: Path) -> Page:
+    """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media."""
     import nbformat  # takes seconds to load
 
     (out / "media").mkdir(parents=True, exist_ok=True)
@@ -79,7 +104,7 @@ def read(notebook: Path, out: Path) -> SimpleNamespace:
     answer = _said(first, "Answer", "We find")
     points = re.findall(r"^- \*\*(.+?)\*\*", answer, re.MULTILINE)
     title = re.match(r"# (?:\S+ · )?(.*)", first)
-    return SimpleNamespace(
+    return Page(
         name=notebook.stem, number=number, title=title[1] if title else notebook.stem,
         question=_inline(_said(first, "Question")),
         answer=_inline(points[0] if answer.startswith("- ") else _begin(answer)), points=list(map(_inline, points)),

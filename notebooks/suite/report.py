@@ -14,14 +14,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from types import SimpleNamespace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jinja2
 
 from suite import execute, findings, ledger, staleness
 from suite.execute import Run
 from suite.findings import Claim, Finding, Record
+
+if TYPE_CHECKING:
+    from suite.page import Page
 
 #: The film that the page begins with, by its caption; without it, the first.
 FILM = "**Figure 00.2.**"
@@ -42,7 +44,8 @@ _VERDICTS = {
 
 
 class Check(NamedTuple):
-    """What today's run says of a notebook: "good", "bad" or "" (nothing), a sentence; how many findings agree."""
+    """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details; and how many
+    findings agree with the record."""
 
     mark: str
     said: str
@@ -71,10 +74,11 @@ def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: boo
     return sorted(ran, key=lambda each: each.notebook)
 
 
-def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[SimpleNamespace]:
-    """Builds the pages from the committed notebooks, or, of a full run, from its own in ``out``/today. Of a short run
-    it compares the numbers with the records; what agrees leaves nothing but these numbers behind. Returns what
-    ``page.read`` read, with the record, what today's run says, the data needed, and claims with verdicts."""
+def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[Page]:
+    """Builds the pages from the committed notebooks, or, of a full run, from its own in ``out``/today.
+
+    Of a short run it compares the numbers with the records; what agrees leaves nothing but these numbers behind.
+    """
     from suite import page  # takes seconds to load
 
     today = {run.notebook: run for run in runs}
@@ -120,9 +124,7 @@ def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check
 
 
 # --------------------------------------------------------------------------------------------------------------- pages
-def _write(
-    out: Path, entries: Sequence[SimpleNamespace], verdicts: Mapping[Claim, str], found: Sequence[Finding]
-) -> None:
+def _write(out: Path, entries: Sequence[Page], verdicts: Mapping[Claim, str], found: Sequence[Finding]) -> None:
     """Write the gallery, a page for every notebook, that of the tests, and their style."""
     files = jinja2.FileSystemLoader(TEMPLATES)
     environment = jinja2.Environment(loader=files, autoescape=True, trim_blocks=True, lstrip_blocks=True)

@@ -83,7 +83,7 @@ def everybody(
     """All that stands beside the model: name -> windows (count, T); and how many parts the Gaussian keeps."""
     normal, parts = gaussian(cast, windows, count, generator("Gaussian"))
     return {
-        "training people": cast.training(count, generator("people who train")),
+        "training people": cast.training(count, generator("people who train")),  # the record's seed
         "Gaussian, planted": normal,
         "spliced windows": spliced(cast, windows, count, generator("spliced")),
         "a pose held": held(cast, count, generator("held")),
