@@ -24,12 +24,16 @@ def add_fit(commands: argparse._SubParsersAction) -> None:
     command = add_command(commands, "fit", text, "clip.mp4 --keypoints keypoints/ --out scene/", _fit)
     option = command.add_argument
     option("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
-    text = "what a 2-D pose detector wrote, told by content: a file, or a folder with a file per frame (default:"
-    option("--keypoints", type=Path, metavar="PATH", help=f"{text} found in the video, needs motionlab[detect])")
+    option(
+        "--keypoints", type=Path, metavar="PATH",
+        help="what a 2-D pose detector wrote, told by content: a file, or a folder with a file per frame "
+        "(default: found in the video, needs motionlab[detect])",
+    )  # fmt: skip
     option("--out", type=Path, metavar="FOLDER/", help="gets motion, scene, film and report")
     option("--people", action="store_true", help="list who was seen, and stop")
-    text = "longest, largest, all, or ids (see --people)"
-    option("--person", nargs="+", default=["longest"], metavar="ID", help=text)
+    option(
+        "--person", nargs="+", default=["longest"], metavar="ID", help="longest, largest, all, or ids (see --people)"
+    )
     option("--size", type=_size, metavar="WxH", help="of the image, where no file says it, in pixels")
     option("--fps", type=float, help="of the keypoints, where neither they nor the video say it")
     option("--layout", help="of the keypoints, where it is not told: BODY_25, COCO_17, HALPE_26, ...")
@@ -42,16 +46,25 @@ def add_fit(commands: argparse._SubParsersAction) -> None:
     option("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
     option("--pose-prior", type=Path, metavar="FILE", help="a VPoser snapshot, or your own")
     option("--initial", type=Path, metavar="FILE", help="of first states: official .npz, or your own")
-    text = "needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres"
-    option("--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"), help=text)
+    option(
+        "--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        help="needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres",
+    )  # fmt: skip
     option("--height", type=_height, metavar="METRES", help="of the person who is fitted, where that is no adult's")
-    text = "of a clip of up to 6 s, K other motions that explain as well what was seen, and how far off hidden limbs"
-    option("--draws", type=int, default=0, metavar="K", help=f"{text} may be")
-    text = "of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more"
-    option("--solver", choices=("shooting", "rollout"), default="shooting", help=text)
+    option(
+        "--draws", type=int, default=0, metavar="K",
+        help="of a clip of up to 6 s, K other motions that explain as well what was seen, and how far off hidden limbs "
+        "may be",
+    )  # fmt: skip
+    option(
+        "--solver", choices=("shooting", "rollout"), default="shooting",
+        help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",
+    )  # fmt: skip
     option("--quick", action="store_true", help="few steps, a small film: a first look")
-    text = "the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/"
-    option("--each", action="store_true", help=text)
+    option(
+        "--each", action="store_true",
+        help="the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/",
+    )  # fmt: skip
     add_sharing(command, "with --each")
 
 

@@ -153,8 +153,12 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
 
 def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
     """Takes what a line says of a bone or of the root."""
-    if key in ("direction", "position", "orientation"):
-        setattr(bone, "axis" if key == "orientation" else key, floats(at, words, 3).tolist())
+    if key == "direction":
+        bone.direction = floats(at, words, 3).tolist()
+    elif key == "position":
+        bone.position = floats(at, words, 3).tolist()
+    elif key == "orientation":
+        bone.axis = floats(at, words, 3).tolist()
     elif key == "length":
         (bone.length,) = floats(at, words, 1).tolist()
     elif key in ("axis", "root axis"):
