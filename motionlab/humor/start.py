@@ -241,8 +241,9 @@ def start_stage_3(
         else:
             z, factors = unknowns.cut_windows(infer(priors.motion, states)[0].mean, starts, length - 1), None
     unknown = Unknowns(
-        first["trans"], from_matrix(first["root_orient"], mode), latent[:, list(starts)], first["trans_vel"],
-        first["root_orient_vel"], first["joints_vel"].flatten(-2), z=z, **shared,
+        trans=first["trans"], orient=from_matrix(first["root_orient"], mode), latent=latent[:, list(starts)],
+        trans_vel=first["trans_vel"], root_orient_vel=first["root_orient_vel"],
+        joints_vel=first["joints_vel"].flatten(-2), z=z, **shared,
     )  # fmt: skip
     return unknown, factors
 
