@@ -11,7 +11,8 @@ import torch
 from motionlab import io
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.io import amass, asf, bvh, cameras, clips, gltf, keypoints, openpose, points, smpl
+from motionlab.io import amass, asf, bvh, clips, gltf, keypoints, points, smpl
+from motionlab.io.cameras import load_camera, load_cameras
 from motionlab.io.keypoints import Footage
 from motionlab.io.points import Positions
 from motionlab.motion import Motion
@@ -39,7 +40,7 @@ def load_openpose(path: Path):
     if path.is_file():
         (folder / "bad_7_keypoints.json").write_bytes(path.read_bytes())
     (folder / "bad_8_keypoints.json").write_bytes(seeds.SEEDS["openpose.json"])
-    return openpose.load(folder, fps=30)
+    return keypoints.load_person(folder, fps=30)
 
 
 LOADERS = {
@@ -55,12 +56,12 @@ LOADERS = {
     "openpose.json": load_openpose,
     ".trc": points.load_trc,
     ".c3d": points.load_c3d,
-    **dict.fromkeys(("qualisys.xml", "captury.calib"), cameras.load_cameras),
+    **dict.fromkeys(("qualisys.xml", "captury.calib"), load_cameras),
     "biomech.csv": lambda path: points.load_biomech(path, fps=50),
     "projected.csv": lambda path: points.load_projected(path, camera=seeds.camera(), fps=50),
     ".glb": gltf.load,
     ".gltf": gltf.load,
-    **dict.fromkeys(calibrated.SEEDS, lambda path: cameras.load_camera(path)[0]),
+    **dict.fromkeys(calibrated.SEEDS, lambda path: load_camera(path)[0]),
     "gvhmr.pt": amass.load,
     "wham.pkl": amass.load,
     "phalp.pkl": amass.load,

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from motionlab.diffusion.denoiser import Denoiser
+from motionlab.diffusion.model import Denoiser
 
 
 def twin(model: Denoiser, x: Tensor, step: int) -> Tensor:

@@ -11,7 +11,7 @@ from motionlab.heading import Frame
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae, reorder
 from motionlab.humor.priors import InitGmm
-from motionlab.humor.shooting.derivatives import XI
+from motionlab.humor.shooting.gauss_newton import XI
 from motionlab.humor.state import ADDED
 
 F64 = torch.float64

@@ -11,12 +11,12 @@ ROOT = Path(__file__).resolve().parents[1]
 #: import goes strictly down, or stays inside its room: a module, or a package that is named here as a whole.
 FLOORS = """
     errors examples parallel subjects
-    diffusion.denoiser diffusion.sampling files optimise rotation skeleton
+    diffusion.sampling files optimise rotation skeleton
     body checkpoint motion rigs
     baselines cleaning contact heading humanml ik observation rest skinning tailoring
-    data_synth diffusion.curves diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
+    data_synth diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
         metrics retarget viz
-    certificate corpus diffusion.completer diffusion.denoising diffusion.masks diffusion.model
+    certificate corpus diffusion.completer diffusion.denoising diffusion.model
         diffusion.windows humor.cvae splits
     diffusion.inpainting diffusion.poses humor.energies humor.priors humor.transition
     bench humor.compiled humor.evidence humor.pretrained

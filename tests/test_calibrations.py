@@ -10,7 +10,7 @@ from calibrated import LENS, PLACED, PLAIN, SHIFT, SIZE, K
 from loaders import check_error
 
 from motionlab.errors import DataError
-from motionlab.io import lens
+from motionlab.io import cameras
 from motionlab.io.cameras import for_images, load_camera
 from motionlab.observation import Camera
 
@@ -143,16 +143,16 @@ def test_a_lens_is_taken_out_as_opencv_puts_it_in(coefficients):
     straight = draw.uniform((0, 0), SIZE, (40, 2))
     curved = np.array([bent(point, coefficients) for point in straight])
     assert np.abs(curved - straight).max() > 5  # it does something
-    assert np.allclose(lens.distorted(straight, camera), curved, atol=1e-6)
-    assert np.abs(lens.undistorted(curved, camera) - straight).max() < 0.1
-    assert lens.undistorted(curved.reshape(5, 8, 2), camera).shape == (5, 8, 2)
+    assert np.allclose(cameras.distorted(straight, camera), curved, atol=1e-6)
+    assert np.abs(cameras.undistorted(curved, camera) - straight).max() < 0.1
+    assert cameras.undistorted(curved.reshape(5, 8, 2), camera).shape == (5, 8, 2)
 
 
 def test_where_a_lens_puts_nothing_no_point_comes_from():
     """With k1 = -0.25 alone nothing lies beyond r' = 2/3 sqrt(1 / 0.75)."""
     camera = camera_of((-0.25,))
     edge = 2 / 3 * np.sqrt(1 / 0.75) * K[0][0]
-    found = lens.undistorted(np.array([[K[0][2] + edge * share, K[1][2]] for share in (0.99, 1.01, 3.0)]), camera)
+    found = cameras.undistorted(np.array([[K[0][2] + edge * share, K[1][2]] for share in (0.99, 1.01, 3.0)]), camera)
     assert np.isfinite(found[0]).all() and np.isnan(found[1:]).all()
 
 
@@ -161,11 +161,11 @@ def test_pictures_are_straightened():
     camera = camera_of((-0.25, 0.05))
     high, wide = SIZE[1] // 2, SIZE[0] // 2
     there = np.stack(np.meshgrid(np.arange(wide), np.arange(high)), -1) * 2.0
-    before = lens.undistorted(there, camera)
+    before = cameras.undistorted(there, camera)
     picture = (np.abs(before[..., 1] - 100) < 6).astype(np.uint8)[..., None].repeat(3, -1) * 255
-    (after,) = lens.straight([picture], camera)
+    (after,) = cameras.straight([picture], camera)
     rows = [np.flatnonzero(after[:, x, 0]).mean() for x in range(60, wide - 60, 20)]
     old = [np.flatnonzero(picture[:, x, 0]).mean() for x in range(60, wide - 60, 20)]
     assert np.ptp(rows) < 1.1 and np.ptp(old) > 5 and rows[0] == pytest.approx(50, abs=1)
-    (same,) = lens.straight([picture], camera_of((0.0,)))
+    (same,) = cameras.straight([picture], camera_of((0.0,)))
     assert np.array_equal(same, picture)

@@ -15,8 +15,8 @@ from PIL import Image
 from motionlab.errors import DataError
 from motionlab.footage import clip
 from motionlab.footage.clip import Clip
-from motionlab.io import lens, video
-from motionlab.io.lens import distorted
+from motionlab.io import cameras, video
+from motionlab.io.cameras import distorted
 from motionlab.observation import at_rate
 
 WIDE, HIGH, FRAMES = 64, 48, 61
@@ -192,7 +192,7 @@ def test_a_lens_is_taken_out_and_its_size_and_border_are_minded(tmp_path):
         clip.straightened(clip.with_camera(clip.open_clip(path, fps=30), tmp_path / "bad.json"))
     with pytest.raises(DataError, match="images of 1280 x 720"):
         clip.with_camera(clip.open_clip(path, fps=30, size=(720, 1280)), tmp_path / "lens.json")
-    assert np.isnan(lens.undistorted(np.array([9e5, 9e5]), found.camera)).all()
+    assert np.isnan(cameras.undistorted(np.array([9e5, 9e5]), found.camera)).all()
 
 
 def test_keypoints_that_fill_a_quarter_of_an_image_without_footage_are_doubted(tmp_path):

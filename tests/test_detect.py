@@ -16,7 +16,7 @@ import pytest
 from motionlab.errors import DataError, MissingData, ShapeError
 from motionlab.footage import clip, detect
 from motionlab.io import keypoints
-from motionlab.io.layouts import HALPE_26
+from motionlab.io.detections import HALPE_26
 from motionlab.io.video import Video
 
 WIDE, HIGH, FRAMES = 192, 256, 5  # of the network's input, and of the pictures

@@ -8,15 +8,15 @@ import pytest
 import torch
 
 from motionlab import checkpoint, rotation
+from motionlab.baselines import smooth_curves
 from motionlab.bench import cases, judge
-from motionlab.bench.person_windows import PersonWindows
+from motionlab.bench.cases import PersonWindows
 from motionlab.contact import with_contacts
-from motionlab.diffusion import completer, masks, state
+from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.curves import smooth_curves
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.features import Layout
-from motionlab.diffusion.windows import gather, on_standard
+from motionlab.diffusion.windows import draw_units, gather, on_standard, units
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
@@ -50,7 +50,7 @@ def windows(data):
 @pytest.fixture(scope="module")
 def known():
     kinds = {"gap": 1.0, "legs": 1.0, "joints": 1.0, "entries": 1.0}
-    return masks.draw_units(FRAMES, 6, torch.Generator().manual_seed(3), kinds)
+    return draw_units(FRAMES, 6, torch.Generator().manual_seed(3), kinds)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_numbers_go_there_and_back_and_belong_to_the_units_of_the_masks(windows)
     back = state.motion_of(state.made(windows), windows)
     assert (back.positions - windows.positions).abs().max() < 1e-5
     assert torch.equal(back.contacts, windows.contacts)
-    assert torch.equal(state.owners(), masks.units(Layout()))
+    assert torch.equal(state.owners(), units(Layout()))
     with pytest.raises(DataError, match="contacts"):
         state.rows(replace(windows, contacts=None))
 

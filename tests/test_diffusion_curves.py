@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import gamma, kv
 
-from motionlab.diffusion.curves import _FRAMES, _NOISE, _matern, lines_between, smooth_curves
+from motionlab.baselines import _FRAMES, _NOISE, _matern, lines_between, smooth_curves
 
 FRAMES = 24
 

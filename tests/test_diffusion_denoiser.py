@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from motionlab.diffusion.denoiser import SIZES, Denoiser
+from motionlab.diffusion.model import SIZES, Denoiser
 from motionlab.errors import ShapeError
 from tests.mdm_twin import twin
 

@@ -9,9 +9,9 @@ import torch
 
 from motionlab import checkpoint
 from motionlab.__main__ import main
-from motionlab.diffusion import denoiser, masks
+from motionlab.diffusion import windows
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.model import DenoiserRecipe, LossWeights, load_denoiser, motion_model, save_denoiser
+from motionlab.diffusion.model import SIZES, DenoiserRecipe, LossWeights, load_denoiser, motion_model, save_denoiser
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
@@ -23,7 +23,7 @@ SMALL = DenoiserRecipe(size="tiny", frames=8, steps=8, batch=4, lr=3e-3, warm_up
 
 @pytest.fixture(autouse=True)
 def _tiny(monkeypatch):
-    monkeypatch.setitem(denoiser.SIZES, "tiny", TINY)
+    monkeypatch.setitem(SIZES, "tiny", TINY)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_a_joint_that_no_recording_has_is_not_learnt(motions, joint):
         SMALL, gather([on_standard(m) for m in motions], SMALL.frames, missing=[(joint,)] * 2)
     )
     lost = STANDARD.indices([joint, joint.replace("left", "right")])
-    mine = torch.isin(masks.units(run.layout), torch.tensor(lost))
+    mine = torch.isin(windows.units(run.layout), torch.tensor(lost))
     out = run.model.output_process.poseFinal.weight
     before = out.detach().clone()
     run.run(until=4)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.diffusion import masks, windows
+from motionlab.diffusion import windows
 from motionlab.diffusion.state import UNITS
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics.gait import slide_in_contact_mm
@@ -104,7 +104,7 @@ def test_on_the_standard_body_feet_stand_where_they_stood(motions):
 
 # --------------------------------------------------------------------------------------------------- masks
 def drawn(kind, generator, count=60, frames=20):
-    return masks.draw_units(frames, count, generator, {kind: 1.0})
+    return windows.draw_units(frames, count, generator, {kind: 1.0})
 
 
 def test_onward_is_all_behind_a_beginning(generator):
@@ -145,11 +145,11 @@ def test_legs_are_asked_with_and_without_the_roots_place(generator):
 @pytest.mark.parametrize("kinds", [{}, {"arms": 1.0}, {"gap": 0.0}])
 def test_unknown_kinds_are_refused(generator, kinds):
     with pytest.raises(ValueError, match="expected odds above 0"):
-        masks.draw_units(20, 3, generator, kinds)
+        windows.draw_units(20, 3, generator, kinds)
 
 
 def test_what_lies_between_has_known_frames_on_either_side(generator):
-    known = masks.draw_units(20, 200, generator, {"between": 1.0})
+    known = windows.draw_units(20, 200, generator, {"between": 1.0})
     assert known[:, :5].all() and known[:, -5:].all()
     hidden = 20 - known[..., 0].sum(1)
     assert hidden.min() >= 1 and hidden.max() <= 9 and len(hidden.unique()) > 5
@@ -157,7 +157,7 @@ def test_what_lies_between_has_known_frames_on_either_side(generator):
 
 
 def test_lone_keys_are_evenly_apart_and_begin_anywhere(generator):
-    known = masks.draw_units(60, 400, generator, {"keys": 1.0})
+    known = windows.draw_units(60, 400, generator, {"keys": 1.0})
     apart, first = set(), set()
     for each in known[..., 0]:
         keys = each.nonzero()[:, 0]
@@ -165,4 +165,4 @@ def test_lone_keys_are_evenly_apart_and_begin_anywhere(generator):
         apart |= set(keys.diff().tolist()) if keys.diff().unique().numel() < 2 else {0}
     assert torch.equal(known, known[..., :1].expand_as(known)) and min(apart) == 4 and 40 < max(apart) <= 45
     assert min(first) == 0 and max(first) > 30
-    assert not masks.draw_units(3, 50, generator, {"keys": 1.0}).any(1).logical_not().any()  # at least one
+    assert not windows.draw_units(3, 50, generator, {"keys": 1.0}).any(1).logical_not().any()  # at least one

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from motionlab import checkpoint
-from motionlab.diffusion import masks, state
+from motionlab.diffusion import state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.model import LossWeights
-from motionlab.diffusion.windows import gather, on_standard
+from motionlab.diffusion.windows import draw_units, gather, on_standard, units
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
@@ -87,7 +87,7 @@ def test_the_plain_loss_is_the_librarys(batch, k):
     some, layout, counts = batch[0], Layout(), LossWeights()
     rows = layout.encode(motion(some))
     normaliser = Normaliser.measure(rows, layout)
-    truth, seen = normaliser.apply(rows), some[3][:, masks.units(layout)]
+    truth, seen = normaliser.apply(rows), some[3][:, units(layout)]
     said = truth + 0.1 * torch.randn(truth.shape, generator=torch.Generator().manual_seed(2))
     names = ("simple", "velocity", "fk", "contact")
     parts = denoising_losses(said, truth, layout, normaliser, STANDARD.offsets[None], parts=names, seen=seen)
@@ -122,7 +122,7 @@ def test_masks_are_as_the_library_draws_them(kind, table, k):
     at = steps.ORDER.index(kind)
     odds, draws = torch.tensor([0.0] * at + [1.0] * (7 - at)), torch.Generator().manual_seed(4)
     mine = table.draw(3000, k, draws, odds)[0].float()
-    theirs = masks.draw_units(steps.T, 1500, draws, {kind: 1.0}).float()
+    theirs = draw_units(steps.T, 1500, draws, {kind: 1.0}).float()
     more = 0.25 if kind == "entries" else 0.0  # all but those that are missing in the same frames
     assert abs(mine[..., :-1].mean() - theirs[..., :-1].mean() - more) < 0.03
     assert abs(mine[..., -1].mean() - theirs[..., -1].mean()) < 0.03

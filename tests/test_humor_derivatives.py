@@ -10,8 +10,8 @@ from torch.func import jacrev
 
 from motionlab import rotation
 from motionlab.humor import state
-from motionlab.humor.shooting import derivatives
-from motionlab.humor.shooting.derivatives import CHANGE, LATENTS, XI
+from motionlab.humor.shooting import gauss_newton
+from motionlab.humor.shooting.gauss_newton import CHANGE, LATENTS, XI
 from motionlab.humor.state import ADDED
 from tests.rolled_inputs import F64, advanced, between, first_states, network, own, turned
 
@@ -32,7 +32,7 @@ def inputs():
 
 @pytest.fixture(scope="module")
 def found(model, inputs):
-    return derivatives.transition_slopes(model, *inputs)
+    return gauss_newton.transition_slopes(model, *inputs)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_control_rotations_turned_from_the_right_are_noticed(model, inputs, foun
 
 def test_the_priors_slopes_are_those_of_autograd(model, inputs):
     x, _ = inputs
-    rows, reference = derivatives.prior_slopes(model, x), model.prior(x)
+    rows, reference = gauss_newton.prior_slopes(model, x), model.prior(x)
     theirs = jacrev(lambda xi: torch.cat(model.prior(turned(x, xi.expand(COUNT, -1))), -1))(torch.zeros(XI, dtype=F64))
     torch.testing.assert_close(rows, theirs, atol=1e-11, rtol=1e-10)
     assert theirs[..., :ADDED].norm() > 0.1 and theirs[..., ADDED:].norm() > 0.1
@@ -108,5 +108,5 @@ def test_a_body_on_its_side_has_finite_slopes(model, inputs):
     resting = copy.deepcopy(model)
     for weight in resting.decoder.parameters():
         weight.zero_()
-    assert all(part.isfinite().all() for part in derivatives.transition_slopes(resting, x, z))
-    assert derivatives.prior_slopes(model, x).isfinite().all()
+    assert all(part.isfinite().all() for part in gauss_newton.transition_slopes(resting, x, z))
+    assert gauss_newton.prior_slopes(model, x).isfinite().all()

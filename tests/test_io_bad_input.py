@@ -14,7 +14,7 @@ from loaders import LOADERS, check_error, numbers_of
 
 from motionlab import io
 from motionlab.errors import DataError
-from motionlab.io import amass, openpose
+from motionlab.io import amass, keypoints
 
 
 @pytest.mark.parametrize("kind", seeds.SEEDS)
@@ -158,23 +158,23 @@ def test_frame_rates_from_callers_are_checked(tmp_path, fps):
     path = tmp_path / "0.json"
     path.write_bytes(seeds.SEEDS["openpose.json"])
     with pytest.raises(DataError, match="frames per second"):
-        openpose.load(tmp_path, fps=fps)
+        keypoints.load_person(tmp_path, fps=fps)
 
 
 def test_openpose_folders_that_are_none(tmp_path):
     for folder, words in ((tmp_path, "no numbered JSON"), (tmp_path / "none", "no such file")):
         with pytest.raises(DataError, match=words) as caught:
-            openpose.load(folder, fps=30)
+            keypoints.load_person(folder, fps=30)
         check_error(caught.value)
     (tmp_path / "a1.json").write_text('{"people": []}')
     with pytest.raises(DataError, match="nobody"):
-        openpose.load(tmp_path, fps=30)
+        keypoints.load_person(tmp_path, fps=30)
     (tmp_path / "a01.json").write_text('{"people": []}')
     with pytest.raises(DataError, match="same frame number"):
-        openpose.load(tmp_path, fps=30)
+        keypoints.load_person(tmp_path, fps=30)
     (tmp_path / "a01.json").rename(tmp_path / "a999999999999.json")
     with pytest.raises(DataError, match="stray"):
-        openpose.load(tmp_path, fps=30)
+        keypoints.load_person(tmp_path, fps=30)
 
 
 class Hostile:

@@ -270,7 +270,7 @@ def test_wrong_files_name_file_place_and_remedy(tmp_path, name):
 
 
 def test_names_that_no_loader_reads(tmp_path):
-    for name, words in (("a.xyz", r"no loader.*\.bvh"), ("a.asf", r"no loader.*name the \.amc"), ("a", "openpose")):
+    for name, words in (("a.xyz", r"no loader.*\.bvh"), ("a.asf", r"no loader.*name the \.amc"), ("a", "OpenPose")):
         with pytest.raises(DataError, match=words):
             io.load(tmp_path / name)
 

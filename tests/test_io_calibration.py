@@ -4,7 +4,8 @@ import pytest
 import seeds
 import torch
 
-from motionlab.io import cameras, openpose, points
+from motionlab.io import keypoints, points
+from motionlab.io.cameras import load_cameras
 from motionlab.observation import Camera, project
 from tests.recorded import DATA, needs_data
 
@@ -14,10 +15,10 @@ def test_written_cameras_project_as_before(tmp_path, kind):
     camera, path = seeds.camera(), tmp_path / "camera"
     if kind == "qualisys":
         path.write_text(seeds.qualisys_text())
-        loaded = cameras.load_cameras(path)["cam_01"]
+        loaded = load_cameras(path)["cam_01"]
     else:
         path.write_text(seeds.captury_text())
-        (loaded,) = cameras.load_cameras(path).values()
+        (loaded,) = load_cameras(path).values()
     points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0)) + torch.tensor([-0.5, -0.5, 0.0])
     torch.testing.assert_close(project(loaded, points)[0], project(camera, points)[0], atol=0.01, rtol=0)
     assert (loaded.width, loaded.height) == (1920, 1088)
@@ -29,7 +30,7 @@ def test_captury_joints_fall_on_captury_projections():
     pairs = {"LAnkle": "LeftFoot", "RKnee": "RightLeg", "LHip": "LeftUpLeg", "RShoulder": "RightArm", "Head": "Head"}
     for take in sorted((DATA / "captury_falls").glob("video*")):
         joints = points.load_biomech(take / "biomech.csv", fps=50)
-        for index, camera in enumerate(cameras.load_cameras(take / "camera.calib").values()):
+        for index, camera in enumerate(load_cameras(take / "camera.calib").values()):
             seen = points.load_projected(take / f"projected{index:02}.csv", camera=camera, fps=50)
             pixels, depth = project(camera, joints.select(list(pairs)).positions)
             there = seen.keypoints[:, [seen.index(name) for name in pairs.values()]]
@@ -65,8 +66,10 @@ def test_pose2sim_views_meet_at_its_own_result():
     """SOURCE.txt: triangulating the four views gives 1.8 cm median distance to the TRC, 90 % below 7.8 cm."""
     root = DATA / "pose2sim_openpose"
     truth = points.load_trc(root / "ref3d/Balancing_for_IK.trc").select(list(PAIRS)).positions
-    there = list(cameras.load_cameras(root / "Calib.qca.txt").values())
-    views = [openpose.load(root / f"single_balancing/cam0{n}_json", fps=60, layout="BODY_25B") for n in (1, 2, 3, 4)]
+    there = list(load_cameras(root / "Calib.qca.txt").values())
+    views = [
+        keypoints.load_person(root / f"single_balancing/cam0{n}_json", fps=60, layout="BODY_25B") for n in (1, 2, 3, 4)
+    ]
     pick = [views[0].index(name) for name in PAIRS.values()]
     pixels = torch.stack([view.keypoints[:, pick].flatten(0, 1) for view in views])
     weight = torch.stack([view.confidence[:, pick].flatten() for view in views])

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from motionlab.errors import DataError
-from motionlab.io import openpose
-from motionlab.io.layouts import BODY_25B, COCO_18, LAYOUTS, to_body_25
+from motionlab.io import keypoints
+from motionlab.io.detections import BODY_25B, COCO_18, LAYOUTS, to_body_25
 from motionlab.observation import BODY_25
 from tests.recorded import DATA, needs_data
 
@@ -41,7 +41,7 @@ def person(x: float, y: float = 300.0, confidence: float = 0.8, names=BODY_25, h
 def test_layouts_are_told_apart_and_mapped_by_name(tmp_path, layout):
     names = LAYOUTS[layout]
     folder = write(tmp_path / "a", {n: [person(100 + n, names=names)] for n in range(3)})
-    observed = openpose.load(folder, fps=30)
+    observed = keypoints.load_person(folder, fps=30)
     assert observed.names == names
     full = to_body_25(observed)
     for k, name in enumerate(BODY_25):
@@ -67,13 +67,13 @@ def test_25_points_without_a_face_are_refused_unless_the_layout_is_given(tmp_pat
     faceless[[0, 15, 16, 17, 18], 2] = 0
     folder = write(tmp_path / "a", {0: [faceless]})
     with pytest.raises(DataError, match="layout cannot be told"):
-        openpose.load(folder, fps=30)
-    assert openpose.load(folder, fps=30, layout="BODY_25").frames == 1
+        keypoints.load_person(folder, fps=30)
+    assert keypoints.load_person(folder, fps=30, layout="BODY_25").frames == 1
 
 
 def test_frames_are_ordered_by_number_and_gaps_are_empty(tmp_path):
     folder = write(tmp_path / "a", {n: [person(100 + n)] for n in (8, 9, 10, 12)}, name="cam.{}.json")
-    observed = openpose.load(folder, fps=30)
+    observed = keypoints.load_person(folder, fps=30)
     nose = observed.keypoints[:, 0, 0].tolist()
     assert observed.frames == 5
     assert [round(x) for x in nose] == [108, 109, 110, 0, 112]
@@ -84,16 +84,16 @@ def test_files_named_otherwise_do_not_join_the_series(tmp_path):
     folder = write(tmp_path / "a", {n: [person(100)] for n in range(4)}, name="cam.{:04d}.json")
     write(folder, {n: [] for n in range(2)}, name="del_{:06d}.json")
     (folder / "meta.json").write_text("not json")
-    assert openpose.load(folder, fps=30).frames == 4
+    assert keypoints.load_person(folder, fps=30).frames == 4
     write(folder, {n: [] for n in range(4)}, name="del_{:06d}.json")
     with pytest.raises(DataError, match="several series"):
-        openpose.load(folder, fps=30)
+        keypoints.load_person(folder, fps=30)
 
 
 def test_confidence_zero_hides_whatever_coordinates_are_there(tmp_path):
     hidden = person(100)
     hidden[4] = (713.5, 12.0, 0.0)
-    observed = openpose.load(write(tmp_path / "a", {0: [hidden], 1: [hidden]}), fps=30)
+    observed = keypoints.load_person(write(tmp_path / "a", {0: [hidden], 1: [hidden]}), fps=30)
     assert not observed.visible[:, 4].any() and (observed.keypoints[:, 4] == 0).all()
     assert observed.visible[:, 3].all()
 
@@ -103,8 +103,8 @@ def test_longest_wins_over_a_passer_by(tmp_path):
     for n in range(5, 9):
         listed[n].insert(0, person(700, height=350))
     folder = write(tmp_path / "a", listed)
-    assert openpose.load(folder, fps=30).keypoints[:, 0, 0].max() < 300
-    assert openpose.load(folder, fps=30, person="largest").visible.any(-1).sum() == 4
+    assert keypoints.load_person(folder, fps=30).keypoints[:, 0, 0].max() < 300
+    assert keypoints.load_person(folder, fps=30, person="largest").visible.any(-1).sum() == 4
 
 
 def neck_steps(observed) -> torch.Tensor:
@@ -118,7 +118,7 @@ def test_nobody_is_swapped_in_the_real_crowd():
     """Ten people, unordered. The picture itself shifts by some 60 px between the first two frames."""
     folder = DATA / "openpose_crowd"
     for place in range(10):
-        observed = openpose.load(folder, fps=30, person=place)
+        observed = keypoints.load_person(folder, fps=30, person=place)
         if observed.visible.any(-1).sum() < 10:
             continue  # one false detection in the first frame
         steps = neck_steps(observed)
@@ -130,14 +130,14 @@ def test_nobody_is_swapped_in_the_real_crowd():
 def test_real_balancing_views_hold_one_person_throughout():
     root = DATA / "pose2sim_openpose/single_balancing"
     for folder in sorted(root.iterdir()):
-        observed = openpose.load(folder, fps=60)
+        observed = keypoints.load_person(folder, fps=60)
         assert observed.names == BODY_25B and observed.frames == 100
         assert observed.visible.any(-1).all() and neck_steps(observed).max() < 30
 
 
 @needs_data
 def test_real_webcam_hides_joints_by_confidence():
-    observed = openpose.load(DATA / "3dance_openpose/PRE_json", fps=30)
+    observed = keypoints.load_person(DATA / "3dance_openpose/PRE_json", fps=30)
     assert observed.frames == 486 and observed.names == BODY_25
     assert 0.4 < observed.visible.float().mean() < 0.9
     assert (observed.keypoints[~observed.visible] == 0).all()
@@ -148,4 +148,4 @@ def test_real_webcam_hides_joints_by_confidence():
 def test_people_without_any_confidence_are_nobody(tmp_path, count, layout):
     ghosts = [person(100 * n, confidence=0) for n in range(count)]
     with pytest.raises(DataError, match="nobody was detected in any frame: no point is sure enough"):
-        openpose.load(write(tmp_path / "a", {0: ghosts, 1: ghosts}), fps=30, layout=layout)
+        keypoints.load_person(write(tmp_path / "a", {0: ghosts, 1: ghosts}), fps=30, layout=layout)

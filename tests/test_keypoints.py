@@ -11,7 +11,7 @@ from loaders import check_error
 
 from motionlab.errors import DataError
 from motionlab.io import keypoints
-from motionlab.io.layouts import BODY_25B, COCO_17, HALPE_26, LAYOUTS, MEDIAPIPE_33, standard_name, to_body_25
+from motionlab.io.detections import BODY_25B, COCO_17, HALPE_26, LAYOUTS, MEDIAPIPE_33, standard_name, to_body_25
 from motionlab.observation import BODY_25, Observation2D
 from tests.recorded import DATA
 

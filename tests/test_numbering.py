@@ -7,7 +7,7 @@ import detected
 import pytest
 
 from motionlab.io import keypoints
-from motionlab.io.numbering import frames_of
+from motionlab.io.video import frames_of
 
 
 @pytest.mark.parametrize(

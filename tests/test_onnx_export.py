@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from motionlab.baselines import curve_weights
 from motionlab.commands import onnx_export
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.curves import curve_weights
 from motionlab.errors import DataError
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import STANDARD

@@ -11,7 +11,7 @@ import torch
 from motionlab import examples, io, retarget
 from motionlab.__main__ import _parser
 from motionlab.bench import judge
-from motionlab.bench.person_windows import PersonWindows
+from motionlab.bench.cases import PersonWindows
 from motionlab.commands import onnx_export
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer

@@ -5,7 +5,7 @@ import torch
 
 from motionlab import rotation
 from motionlab.bench import cases
-from motionlab.bench.person_windows import PersonWindows
+from motionlab.bench.cases import PersonWindows
 from motionlab.diffusion.model import motion_model
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD

@@ -18,9 +18,8 @@ from torch.nn.functional import max_pool1d, normalize, one_hot, pad
 
 from motionlab import rotation
 from motionlab.animate import footsteps
-from motionlab.baselines import between_known, nearest_known
+from motionlab.baselines import between_known, lines_between, nearest_known
 from motionlab.contact import contacts_from_positions, resting_heights, with_contacts
-from motionlab.diffusion.curves import lines_between
 from motionlab.errors import DataError, ShapeError
 from motionlab.ik import two_bone_ik
 from motionlab.motion import Motion

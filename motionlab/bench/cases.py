@@ -1,20 +1,23 @@
-"""The test cases of thesis 4.2.1: what of a window is hidden, and how well what was filled in fits.
+"""The test cases of thesis 4.2.1: the same number of windows of each person, what of them is hidden, and how well what
+was filled in fits.
 
 What is known is said once, for every model and rival: bool (B, T, U) over the units of a frame, which are the joints'
-rotations, then the root's place, then the contacts (``masks.units``). The root's place goes with the pelvis.
+rotations, then the root's place, then the contacts (``windows.units``). The root's place goes with the pelvis.
 
 Source: thesis 4.2.1. Differs: numbers instead of looking.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
+from motionlab.corpus import Take
 from motionlab.diffusion.features import Layout
-from motionlab.diffusion.masks import LEGS, units
+from motionlab.diffusion.windows import LEGS, gather, on_standard, units
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics.gait import slide_where_truth_stands_mm
 from motionlab.metrics.pose import joint_errors, mean_acceleration
@@ -25,6 +28,42 @@ JOINTS = len(STANDARD)
 HIDDEN = tuple(name for name in STANDARD.names if name.endswith(LEGS))  # rotations that occluded legs lose
 LOWER = tuple(name for name in HIDDEN if not name.endswith("hip"))  # joints whose places follow from them
 T = TypeVar("T")
+
+
+class PersonWindows(NamedTuple):
+    """motion (N, T) on the standard body, whose it is (N,), and which units (N, 1, U) of a frame its figure lacks."""
+
+    motion: Motion
+    whose: Tensor
+    lacks: Tensor
+
+
+def person_windows(takes: Sequence[Take], frames: int, each: int) -> PersonWindows:
+    """At most ``each`` windows of every person, evenly over what there is; shorter takes are left out."""
+    people: dict[str, list[Take]] = {}
+    for take in takes:
+        if take.motion.frames >= frames:
+            people.setdefault(take.person, []).append(take)
+    rows, whose, lacks = [], [], []
+    for person, some in enumerate(people.values()):
+        data = gather([on_standard(t.motion) for t in some], frames, mirrored=False)
+        at = torch.linspace(0, len(data.begins) - 1, min(each, len(data.begins))).round().long()
+        rows.append(data.evenly(each))
+        whose.append(torch.full((len(at),), person))
+        units = [[name in take.missing for name in STANDARD.names] + [False, False] for take in some]
+        lacks.append(torch.tensor(units)[data.clip[data.begins[at]]])
+    if not rows:
+        raise DataError(f"nobody has {frames} frames of motion", remedy="name a folder with more recordings")
+    parts = [torch.cat([getattr(m, name) for m in rows]) for name in ("root", "rot", "contacts")]
+    return PersonWindows(
+        Motion(STANDARD, *parts[:2], rows[0].fps, parts[2]), torch.cat(whose), torch.cat(lacks)[:, None]
+    )
+
+
+def by_person(values: Tensor, whose: Tensor) -> Tensor:
+    """The mean (P,) of values (N,) of each person; windows without a value do not count."""
+    mine = one_hot(whose).double() * values.isfinite()[:, None]
+    return (mine * values.nan_to_num().double()[:, None]).sum(0) / mine.sum(0)
 
 
 # ---------------------------------------------------------------------------------------------- what is known

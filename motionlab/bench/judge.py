@@ -17,7 +17,7 @@ from torch import Tensor
 
 from motionlab import corpus, splits
 from motionlab.bench import cases
-from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
+from motionlab.bench.cases import PersonWindows, by_person, person_windows
 from motionlab.motion import Motion
 
 FRAMES = 60  # of a window

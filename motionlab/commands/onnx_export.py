@@ -29,7 +29,7 @@ INPUTS, OUTPUTS = ("root", "rotations", "known", "curves"), ("root_filled", "rot
 def curves_of(known: np.ndarray, reach: float = 30.0, noise: float = 1e-5) -> np.ndarray:
     """Computes from known frames (B, T), bool, the share (B, T, T) of each known one in a smooth curve at each frame.
 
-    Source: Rasmussen and Williams 2006, Eqs. 2.25 and 4.17 (Matern 3/2), as ``diffusion.curves.curve_weights``.
+    Source: Rasmussen and Williams 2006, Eqs. 2.25 and 4.17 (Matern 3/2), as ``baselines.curve_weights``.
     """
     time, k = np.arange(known.shape[1]), known.astype(float)
     far = 3**0.5 * abs(time[:, None] - time) / reach

@@ -23,8 +23,8 @@ import torch
 from torch import Tensor, nn
 
 from motionlab import checkpoint
+from motionlab.baselines import smooth_curves
 from motionlab.diffusion import state
-from motionlab.diffusion.curves import smooth_curves
 from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
@@ -50,10 +50,10 @@ class CompleterRecipe:
     """What a training run depends on, with its windows.
 
     frames: of a window. size, layers, patch: width and depth of the encoder, frames in a token. kinds: odds of each
-    kind of mask (``masks.draw_units``). refines: it corrects a motion that trembled and was smoothed, of which nothing
-    is known for certain. diffusion: draws, not one answer; pure_noise_share: of its windows. The learning rate rises
-    over ``warm_up`` steps to ``lr`` and falls by a cosine to a fiftieth. decay: of the weights. average: of them, per
-    step.
+    kind of mask (``windows.draw_units``). refines: it corrects a motion that trembled and was smoothed, of which
+    nothing is known for certain. diffusion: draws, not one answer; pure_noise_share: of its windows. The learning rate
+    rises over ``warm_up`` steps to ``lr`` and falls by a cosine to a fiftieth. decay: of the weights. average: of
+    them, per step.
     """
 
     frames: int = 60

@@ -15,11 +15,11 @@ from motionlab.errors import DataError, MissingData
 from motionlab.files import output_folder
 from motionlab.footage import detect
 from motionlab.footage.scene_fit import MIN_KEYPOINTS, USED
-from motionlab.io import keypoints, lens, video
+from motionlab.io import cameras, keypoints
 from motionlab.io.cameras import for_images, load_camera
+from motionlab.io.detections import to_body_25
 from motionlab.io.keypoints import Footage
-from motionlab.io.layouts import to_body_25
-from motionlab.io.video import Video
+from motionlab.io.video import Video, background_drift, open_video
 from motionlab.observation import Camera, Observation2D, at_rate
 from motionlab.optimise import begins
 
@@ -68,7 +68,7 @@ class Clip:
         if times is not None:
             wanted = _frames_at(times, times[self.first] + np.array(frames) / self.rate).tolist()
         found = self.video.pictures(wanted)
-        return lens.straight(found, self.camera) if self.camera is not None and self.camera.distortion else found
+        return cameras.straight(found, self.camera) if self.camera is not None and self.camera.distortion else found
 
     @property
     def samples(self) -> range:
@@ -77,7 +77,7 @@ class Clip:
 
     def drift(self) -> np.ndarray:
         """Computes how far the background moved (N,) in ``samples``, shares of the image's width; see
-        ``video.background_drift``."""
+        ``background_drift``."""
         scale = self.video.size[0] / self.size[0] if self.size else 1.0
         boxes: list[list[tuple[float, ...]]] = [[] for _ in self.samples]
         for at, here in zip(self._rows[list(self.samples)], boxes, strict=True):
@@ -87,7 +87,7 @@ class Clip:
                 points = points[points[:, 2] > 0, :2] * scale
                 if near.min() <= self.footage.fps / 2 and len(points):
                     here.append((*points.min(0), *points.max(0)))
-        return video.background_drift(self.pictures(self.samples), boxes)
+        return background_drift(self.pictures(self.samples), boxes)
 
 
 def _frames_at(times: np.ndarray, seconds: np.ndarray) -> np.ndarray:
@@ -138,7 +138,7 @@ def open_clip(
     Raises:
         DataError: either cannot be read, or the video is shorter than the keypoints. MissingData: see ``detect.find``.
     """
-    shown, notes = None if video_path is None else video.open_video(video_path), []
+    shown, notes = None if video_path is None else open_video(video_path), []
     if keypoints_path is None:
         if shown is None:
             raise MissingData("the keypoints", "Give a video, or --keypoints FILE_OR_FOLDER.")
@@ -243,7 +243,7 @@ def straightened(clip: Clip) -> Clip:
     found, lost, count = [], 0, 0
     for track in clip.footage.tracks:
         points, seen = track.points.copy(), track.points[..., 2] > 0
-        points[..., :2] = lens.undistorted(points[..., :2], clip.camera)
+        points[..., :2] = cameras.undistorted(points[..., :2], clip.camera)
         gone = ~np.isfinite(points[..., :2]).all(-1)
         points[gone | ~seen] = 0
         lost, count = lost + int((gone & seen).sum()), count + int(seen.sum())

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from motionlab.errors import DataError, MissingData, ShapeError
 from motionlab.files import write_whole
-from motionlab.io.layouts import HALPE_26
+from motionlab.io.detections import HALPE_26
 from motionlab.io.reading import read_npz, reading
 from motionlab.io.video import Video
 

@@ -98,7 +98,7 @@ _NOT_ONE_FILE = {
     ".blend": "in Blender: export BVH",
     ".asf": "name the .amc: the .asf is found beside it",
     ".bin": "the numbers of a .gltf, which reads them",
-    "": "a folder of OpenPose frames is read with motionlab.io.openpose.load",
+    "": "a folder of OpenPose frames is read with motionlab.io.keypoints.load_person",
 }
 
 

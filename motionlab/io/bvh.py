@@ -18,9 +18,8 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import AXES, UNITS, Axes, Unit
+from motionlab.io.judging import AXES, UNITS, Axes, Unit, rerooted
 from motionlab.io.reading import RATES, Location, check_writable, floats, frame_rate, read_text, reading
-from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
@@ -43,7 +42,7 @@ def load(
     """Reads a BVH file: metres, z up, the file's own skeleton and rest pose.
 
     Position channels replace a joint's OFFSET; where they are about zero in the joints below the root, they are
-    relative to it, and noted. Which joint is the root: see :func:`motionlab.io.rooting.rerooted` (Bandai-Namco: Hips
+    relative to it, and noted. Which joint is the root: see :func:`motionlab.io.judging.rerooted` (Bandai-Namco: Hips
     under a resting joint_Root). End Sites with a length become leaf joints named ``<parent>_end``; those of no length,
     and those that :func:`save` made up (see ``TIP``), say nothing and are dropped.
 

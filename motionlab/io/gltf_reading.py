@@ -20,8 +20,8 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.io import judging
+from motionlab.io.judging import rerooted
 from motionlab.io.reading import RATES, Location, checked_array, frame_rate, read_bytes, reading
-from motionlab.io.rooting import rerooted
 from motionlab.motion import Motion
 from motionlab.rest import reframed
 from motionlab.skeleton import Skeleton
@@ -57,7 +57,7 @@ def load(
         person: which skin of several, in the file's order; that there are others is noted.
         animation: its name, or number from 0; None: the first, and others are noted.
         unit, up, axes: instead of metres and y up, which are doubted only where the figure speaks against them.
-        fps: how often it is read; None: once per key. translations: see :func:`motionlab.io.rooting.rerooted`.
+        fps: how often it is read; None: once per key. translations: see :func:`motionlab.io.judging.rerooted`.
 
     Raises:
         DataError: not such a file, or nobody with this number.

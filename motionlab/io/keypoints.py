@@ -24,11 +24,9 @@ import numpy as np
 import torch
 
 from motionlab.errors import DataError
-from motionlab.io import numbering, tracking
-from motionlab.io.detection_json import from_json
-from motionlab.io.detection_tables import from_lines, from_npz, from_trc
-from motionlab.io.detections import MOST_FRAMES, NOBODY, PLAIN, Detections, from_folder
-from motionlab.io.layouts import names_of
+from motionlab.io import tracking, video
+from motionlab.io.detection_files import from_json, from_lines, from_npz, from_trc
+from motionlab.io.detections import MOST_FRAMES, NOBODY, PLAIN, Detections, from_folder, names_of
 from motionlab.io.reading import LARGEST, Location, frame_rate, image_size, read_json, read_text, reading
 from motionlab.observation import Observation2D
 
@@ -196,7 +194,7 @@ def load(
     Args:
         fps: frames per second; needed where the file does not say it.
         size: width and height of the image in pixels; needed where coordinates are shares of the image.
-        layout: one of ``layouts.LAYOUTS``; None takes the file's names, or decides by the number of keypoints.
+        layout: one of ``detections.LAYOUTS``; None takes the file's names, or decides by the number of keypoints.
         lowest: confidence below which a point was not seen; None is what the detector itself draws by.
         gap: seconds for which a person may vanish and still be the same one.
         film: the video of the keypoints. Numbers up to its length are its frames, or those of its images; it says
@@ -255,7 +253,7 @@ def _in_order(
     fps = found.fps if fps is None else frame_rate(at, fps, "fps")
     given = sorted(found.frames)
     known = None if film is None else film.numbers or film.frames
-    order, told, notes = numbering.frames_of(given, fps=fps, film=known, loose=found.loose)
+    order, told, notes = video.frames_of(given, fps=fps, film=known, loose=found.loose)
     frames, ids = ({n: of[k] for n, k in zip(order, given, strict=True)} for of in (found.frames, found.ids))
     first, last = order[0], order[-1]
     if last - first >= MOST_FRAMES:
@@ -345,3 +343,18 @@ def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple
 
 def _some(ids: Sequence[int]) -> str:
     return ", ".join(map(str, ids[:9])) + (" and more" if len(ids) > 9 else "")
+
+
+def load_person(
+    folder: str | Path, *, fps: float, layout: str | None = None, person: str | int = "longest", gap: float = 0.5
+) -> Observation2D:
+    """Reads one person's keypoints through time, in pixels, as :func:`load`; but every point
+    counts, however unsure.
+
+    Args:
+        person: "longest" (seen in most frames), "largest" (tallest in the image), or an id.
+
+    Raises:
+        DataError: see there; or nobody has the id.
+    """
+    return load(folder, fps=fps, layout=layout, lowest=0.0, gap=gap).person(person)

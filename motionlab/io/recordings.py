@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from motionlab import io
 from motionlab.errors import DataError, MissingData
-from motionlab.io import asf, bvh, cameras, clips, openpose, points
+from motionlab.io import asf, bvh, cameras, clips, keypoints, points
 from motionlab.io.points import Positions
 from motionlab.io.reading import reading
 from motionlab.motion import Motion
@@ -60,11 +60,11 @@ SOURCES: dict[str, tuple[str, dict[str, tuple[str, Callable]]]] = {
     "animated_drawings": ("MIT", {"bvh": ("*.bvh", bvh.load)}),
     "isaacgym_amp_cmu": ("BSD-3 + CMU terms", {"npz": ("*.npz", clips.load_amp)}),
     "pose2sim_openpose": ("BSD-3", {
-        "openpose": ("*/cam*_json", partial(openpose.load, fps=60, layout="BODY_25B")),
+        "openpose": ("*/cam*_json", partial(keypoints.load_person, fps=60, layout="BODY_25B")),
         "trc": ("ref3d/*.trc", points.load_trc)}),
     # two whose rate is not stored: 30 is presumed; the first is of a webcam
-    "3dance_openpose": ("MIT", {"openpose": ("*/", partial(openpose.load, fps=30, layout="BODY_25"))}),
-    "openpose_crowd": ("MIT", {"openpose": (".", partial(openpose.load, fps=30, layout="BODY_25"))}),
+    "3dance_openpose": ("MIT", {"openpose": ("*/", partial(keypoints.load_person, fps=30, layout="BODY_25"))}),
+    "openpose_crowd": ("MIT", {"openpose": (".", partial(keypoints.load_person, fps=30, layout="BODY_25"))}),
 }  # fmt: skip
 
 
@@ -213,7 +213,7 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
                 head = file.read(4096)
             if b'"people"' in head and path.parent not in views:
                 views.add(path.parent)
-                yield "openpose", path.parent, partial(openpose.load, fps=video_fps)
+                yield "openpose", path.parent, partial(keypoints.load_person, fps=video_fps)
             elif b'"Frames"' in head:
                 yield suffix[1:], path, clips.load_deepmimic
 

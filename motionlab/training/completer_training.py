@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from motionlab.contact import with_contacts
-from motionlab.diffusion import masks, state
+from motionlab.diffusion import state
 from motionlab.diffusion.completer import Completer, CompleterRecipe, motion_noise
 from motionlab.diffusion.denoising import Noise, smoothed
-from motionlab.diffusion.windows import Windows
+from motionlab.diffusion.windows import Windows, draw_units
 from motionlab.heading import stuck_root, world_to_local
 from motionlab.motion import Motion
 from motionlab.training.training_loop import TrainingRun, fast_halves, seeded
@@ -66,7 +66,7 @@ class CompleterTraining(TrainingRun):
             made = self.model.filled(shown, known, tremble=tremble)
         else:
             motion = stuck_root(motion)[0]
-            known = masks.draw_units(recipe.frames, recipe.batch, self.generator, dict(recipe.kinds)) & seen[:, None]
+            known = draw_units(recipe.frames, recipe.batch, self.generator, dict(recipe.kinds)) & seen[:, None]
             silent = torch.rand(recipe.batch, 1, generator=self.generator) < _SILENT
             known[..., -1] &= ~silent
             made = self.model.filled(motion, known, *self._noise(known))

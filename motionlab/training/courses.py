@@ -10,8 +10,8 @@ from torch import Tensor
 
 from motionlab import checkpoint
 from motionlab.bench import cases
+from motionlab.bench.cases import PersonWindows, by_person, person_windows
 from motionlab.bench.judge import CASES, FRAMES, judged
-from motionlab.bench.person_windows import PersonWindows, by_person, person_windows
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe

@@ -15,12 +15,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from motionlab.diffusion import masks
-from motionlab.diffusion.denoiser import Denoiser
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
+from motionlab.diffusion.model import Denoiser, DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.sampling import noise_like
-from motionlab.diffusion.windows import Windows
+from motionlab.diffusion.windows import Windows, units
 from motionlab.errors import DataError, check_shape
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD
@@ -72,7 +70,7 @@ class DenoiserTraining(TrainingRun):
         weights, seen = recipe.weights.parts(), None
         if self.windows.seen is not None:
             whole = torch.ones(len(clips), 2, dtype=torch.bool)  # the root's place, contacts
-            seen = torch.cat((self.windows.seen[clips], whole), 1)[:, masks.units(self.layout)]
+            seen = torch.cat((self.windows.seen[clips], whole), 1)[:, units(self.layout)]
         offsets = motion.skeleton.offsets[:, 0]
         parts = denoising_losses(estimate, x0, self.layout, self.normaliser, offsets, parts=weights, seen=seen)
         return sum(weight * parts[name] for name, weight in weights.items()), parts

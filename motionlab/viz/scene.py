@@ -26,7 +26,7 @@ from motionlab.motion import Motion
 from motionlab.observation import Camera
 from motionlab.tailoring import tailored
 from motionlab.viz import mannequin, viewpoint
-from motionlab.viz.ground import Shadow, floor_tiles
+from motionlab.viz.mannequin import Shadow, floor_tiles
 from motionlab.viz.palette import INK, LINE, PAPER, blend, colour
 
 # It comes with CUDA builds of torch. Loaded after Mesa's LLVM, it kills the process.

@@ -1,1 +1,1 @@
-"""Stage 3 by closed-loop Gauss-Newton: the feedback solver, its coordinates, the matrix and its derivatives."""
+"""Stage 3 by closed-loop Gauss-Newton: the feedback solver, its coordinates, its matrix and the derivatives."""

@@ -25,9 +25,8 @@ from motionlab.humor import energies, priors, state, unknowns
 from motionlab.humor.body_shape import BETAS
 from motionlab.humor.cvae import Gaussian
 from motionlab.humor.rollout import steered_rollout
-from motionlab.humor.shooting import derivatives, gauss_newton
-from motionlab.humor.shooting.derivatives import CHANGE, GAMMA, LATENTS, XI
-from motionlab.humor.shooting.gauss_newton import factorised, riccati_sweep
+from motionlab.humor.shooting import gauss_newton
+from motionlab.humor.shooting.gauss_newton import CHANGE, GAMMA, LATENTS, XI, factorised, riccati_sweep
 from motionlab.humor.stages import Problem
 from motionlab.humor.state import ADDED
 from motionlab.humor.unknowns import Rolled, Unknowns
@@ -123,9 +122,9 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
     x = state.localise(states, frame)
     past, keys = x[:, :-1], torch.tensor([*range(0, frames - 2, stride), frames - 2], device=z.device)
     some, between = past[:, keys].flatten(0, 1), partial(between_keys, keys=keys, clips=clips)
-    decoded = between(derivatives.decoder_slopes(model, some, z[:, keys].flatten(0, 1)))
-    moves = derivatives.transition_slopes(model, past.flatten(0, 1), z.flatten(0, 1), decoded)
-    prior_slopes = between(derivatives.prior_slopes(model, some))
+    decoded = between(gauss_newton.decoder_slopes(model, some, z[:, keys].flatten(0, 1)))
+    moves = gauss_newton.transition_slopes(model, past.flatten(0, 1), z.flatten(0, 1), decoded)
+    prior_slopes = between(gauss_newton.prior_slopes(model, some))
     weights = problem.weights.of(3, frames=frames)
     found = gauss_newton.residual_rows(
         x, frame.turn, frame.shift, moves.turn.unflatten(0, (clips, -1)), unknown.betas, unknown.camera,
@@ -142,7 +141,7 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
     return Whitening(base, gains, shared, swept.whiteners, *whiten_first_state(problem, unknown, swept.first, frames))
 
 
-def padded_moves(moves: derivatives.TransitionSlopes, clips: int, n: int) -> tuple[Tensor, Tensor]:
+def padded_moves(moves: gauss_newton.TransitionSlopes, clips: int, n: int) -> tuple[Tensor, Tensor]:
     """Computes linear dynamics A (B, T - 1, n, n), B (B, T - 1, n, 48) from transitions' slopes; shape, camera stay."""
     of_change, of_z = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
     a, b = of_change.new_zeros(*of_change.shape[:2], n, n), of_z.new_zeros(*of_z.shape[:2], n, LATENTS)
@@ -205,7 +204,7 @@ def whiten_first_state(problem: Problem, unknown: Unknowns, cost: Tensor, frames
     betas = slice(_FIRST, _FIRST + BETAS)
     h[:, betas, betas].diagonal(dim1=-2, dim2=-1).add_(2 * frames * weights.get("shape_prior", 0.0))
     if view is not None and view.free:
-        moves = derivatives.columns(lambda more, camera: view.floor(camera + more), 3, unknown.camera)
+        moves = gauss_newton.columns(lambda more, camera: view.floor(camera + more), 3, unknown.camera)
         part = slice(_FIRST + BETAS, None)
         h[:, part, part] += frames * weights.get("floor_reg", 0.0) * moves.mT @ moves
     features = slope[:, _FEATURES]
@@ -234,7 +233,7 @@ def first_slopes(problem: Problem, unknown: Unknowns, count: int) -> Tensor:
 
     def change(small: Tensor, first: Tensor) -> Tensor:
         moved = apply_change(replace(unknown, z=None), small)
-        return derivatives.state_change(unknowns.first_state(moved, problem.priors), first)
+        return gauss_newton.state_change(unknowns.first_state(moved, problem.priors), first)
 
     of_shared = torch.eye(count).to(first)[_FIRST:].expand(len(first), -1, -1)  # passed on
-    return torch.cat((derivatives.columns(change, count, first), of_shared), 1)
+    return torch.cat((gauss_newton.columns(change, count, first), of_shared), 1)

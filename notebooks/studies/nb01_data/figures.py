@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.corpus import Take
-from motionlab.metrics.distribution import DESCRIPTION_UNITS
+from motionlab.metrics.generation import DESCRIPTION_UNITS
 from motionlab.viz.palette import INK, PAPER, ROLE
 from studies.nb01_data.sources_compared import Windows
 from studies.shared.plots import canvas

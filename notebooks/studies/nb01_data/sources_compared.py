@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from motionlab import splits
-from motionlab.bench.person_windows import by_person
+from motionlab.bench.cases import by_person
 from motionlab.corpus import Corpus
-from motionlab.metrics.distribution import DESCRIPTION_UNITS, describe
+from motionlab.metrics.generation import DESCRIPTION_UNITS, describe
 from motionlab.motion import Motion, windows
 from studies.nb01_data.real_motion import kind_of
 

@@ -20,9 +20,9 @@ from motionlab.footage.fit import landmarks_of, pixels_of
 from motionlab.humor import testops
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule
-from motionlab.io import openpose, points
+from motionlab.io import keypoints, points
 from motionlab.io.cameras import load_cameras
-from motionlab.io.layouts import to_body_25
+from motionlab.io.detections import to_body_25
 from motionlab.metrics import pose
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
@@ -86,7 +86,7 @@ def pose2sim(folder: Path | str) -> Views:
     if not places or len(places) != len(cameras):
         message = f"{len(places)} views and {len(cameras)} cameras"
         raise DataError(message, path=folder / "single_balancing", remedy="unpack the data set again")
-    seen = [to_body_25(openpose.load(p, fps=60.0, layout="BODY_25B")) for p in places]
+    seen = [to_body_25(keypoints.load_person(p, fps=60.0, layout="BODY_25B")) for p in places]
     names = tuple(place.name.removesuffix("_json") for place in places)
     markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc").select(list(COMPARED.values())).positions
     frames = min(len(markers), *(each.frames for each in seen))
@@ -104,7 +104,7 @@ def shown(own: str | None, data: Path | None, body: BodyModel, *, seed: int, fps
     size that holds the detections.
     """
     if own:
-        seen = stacked([at_rate(to_body_25(openpose.load(own, fps=fps)))])
+        seen = stacked([at_rate(to_body_25(keypoints.load_person(own, fps=fps)))])
         return Views(seen, None, ("yours",), None, (over_video.blank(start_cameras(seen, size=size)[0]),), size)
     if data:
         return pose2sim(data / "pose2sim_openpose")

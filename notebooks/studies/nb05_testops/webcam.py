@@ -10,7 +10,7 @@ from motionlab.baselines import savitzky_golay
 from motionlab.footage.fit import pixels_of
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.io import openpose
+from motionlab.io import keypoints
 from motionlab.motion import FPS, Motion
 from motionlab.observation import Camera, Observation2D
 from studies.nb05_testops.camera_knowledge import misses, start_cameras
@@ -24,7 +24,9 @@ Ways = Mapping[str, tuple[Motion, Sequence[Camera]]]  # what was fitted -> motio
 
 def clips(folder: Path | str, starts: Sequence[int], frames: int) -> Observation2D:
     """Reads clips (G, T) of a webcam recording of 3Dance, 30 fps presumed."""
-    return part(openpose.load(folder, fps=FPS, layout="BODY_25"), torch.tensor(starts)[:, None] + torch.arange(frames))
+    return part(
+        keypoints.load_person(folder, fps=FPS, layout="BODY_25"), torch.tensor(starts)[:, None] + torch.arange(frames)
+    )
 
 
 def fitted(seen: Observation2D, priors: Priors, schedule: Schedule) -> Ways:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from motionlab import baselines
 from motionlab.bench import cases
-from motionlab.bench.person_windows import PersonWindows
+from motionlab.bench.cases import PersonWindows
 from motionlab.metrics.pose import joint_errors, masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from motionlab.bench import cases, rivals
-from motionlab.bench.person_windows import by_person
+from motionlab.bench.cases import by_person
 from motionlab.bench.rivals import RIDGES
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, sampling

@@ -13,7 +13,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.animate.foot_locking import lock_feet
 from motionlab.bench import cases
-from motionlab.bench.person_windows import PersonWindows, by_person
+from motionlab.bench.cases import PersonWindows, by_person
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import gather, on_standard

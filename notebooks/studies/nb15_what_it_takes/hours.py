@@ -20,8 +20,8 @@ from tqdm import tqdm
 
 from motionlab import corpus, splits
 from motionlab.bench import judge, rivals
+from motionlab.bench.cases import PersonWindows, person_windows
 from motionlab.bench.judge import CASES, FRAMES, Fill
-from motionlab.bench.person_windows import PersonWindows, person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.completer import CompleterRecipe
 from motionlab.diffusion.windows import gather, on_standard

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from motionlab import corpus, splits
 from motionlab.bench import cases
-from motionlab.bench.person_windows import PersonWindows, by_person
+from motionlab.bench.cases import PersonWindows, by_person
 from motionlab.contact import with_contacts
 from motionlab.diffusion.model import MotionDiffusion
 from motionlab.motion import Motion

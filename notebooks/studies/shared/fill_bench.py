@@ -11,9 +11,8 @@ import torch
 from torch import Tensor
 
 from motionlab.bench import cases, judge
-from motionlab.bench.cases import JOINTS
+from motionlab.bench.cases import JOINTS, PersonWindows, by_person
 from motionlab.bench.judge import Case, energy_score
-from motionlab.bench.person_windows import PersonWindows, by_person
 from motionlab.motion import Motion
 from studies.shared.fill_contenders import Contender
 from studies.shared.fill_people import FRAMES, Cast, only, some

@@ -16,8 +16,8 @@ from motionlab.bench.rivals import RIDGES, Rivals
 from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import Completer, guess
 from motionlab.diffusion.inpainting import Inpainting, inpaint
-from motionlab.diffusion.masks import units
 from motionlab.diffusion.model import MotionDiffusion, motion_model
+from motionlab.diffusion.windows import units
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.training.training_loop import fast_halves

@@ -6,8 +6,8 @@ from dataclasses import replace
 import torch
 
 from motionlab.bench import cases
+from motionlab.bench.cases import PersonWindows
 from motionlab.bench.judge import Case
-from motionlab.bench.person_windows import PersonWindows
 from motionlab.motion import Motion
 from studies.shared.fill_bench import CASES, ERROR, Bench, made_by
 from studies.shared.fill_contenders import Contender, Models, R, T

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motionlab.bench.person_windows import by_person
+from motionlab.bench.cases import by_person
 from motionlab.diffusion.encoder import motion_encoder
 from motionlab.metrics import generation
 from motionlab.metrics.intervals import interval

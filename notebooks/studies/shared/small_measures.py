@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from motionlab.bench.person_windows import PersonWindows, by_person
+from motionlab.bench.cases import PersonWindows, by_person
 from motionlab.contact import resting_heights
 from motionlab.diffusion.encoder import motion_encoder
 from motionlab.diffusion.model import LEVELS, MotionDiffusion, motion_model

@@ -14,9 +14,9 @@ import math
 import torch
 from torch import Tensor
 
-from motionlab.diffusion import masks
+from motionlab.baselines import curve_weights
+from motionlab.diffusion import windows
 from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, binomial_smoothed, motion_waves
-from motionlab.diffusion.curves import curve_weights
 from motionlab.diffusion.state import MADE, UNITS, owners
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD
@@ -39,7 +39,7 @@ class Constants:
         self.swap = there([names.index(STANDARD.names[partner[j]]) for j in STANDARD.contact_indices])
         self.contact, self.owners = there(STANDARD.contact_indices), owners().to(device)
         legs = torch.ones(UNITS, dtype=torch.bool)
-        legs[[j for j, name in enumerate(STANDARD.names) if name.endswith(masks.LEGS)]] = False
+        legs[[j for j, name in enumerate(STANDARD.names) if name.endswith(windows.LEGS)]] = False
         self.legs, self.last = there(legs), there(torch.arange(UNITS) == UNITS - 1)
         order, back, self.sizes, rows = STANDARD.level_order
         self.order, self.back = there(order), there(back)
@@ -140,14 +140,14 @@ class Data:
 
 
 class Masks:
-    """Patterns in time (N, T) with the weights of their curves (N, T, T); masks of the kinds of ``masks.draw_units``.
+    """Patterns in time (N, T) with the weights of their curves (N, T, T); masks of the kinds of ``windows.draw_units``.
 
     Differs: of *entries* the joints of a window are missing in the same frames, each with the window's chance.
     """
 
     def __init__(self, k: Constants, pool: int = 2000) -> None:
         time, drawn = torch.arange(T), torch.Generator().manual_seed(3)
-        inner, edge, (least, most) = T - 2 * masks._EDGE, masks._EDGE, masks._APART
+        inner, edge, (least, most) = T - 2 * windows._EDGE, windows._EDGE, windows._APART
         hole = lambda first, length: (time < first) | (time >= first + length)  # noqa: E731
         ends = [torch.ones(T, dtype=torch.bool), torch.zeros(T, dtype=torch.bool)]
         gaps = [hole(s, n) for n in range(1, T) for s in range(T - n + 1)]
