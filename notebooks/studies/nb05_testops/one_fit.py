@@ -63,15 +63,20 @@ def fitted(
 
 
 def errors(motion: Motion, scene: Scene) -> dict[str, float]:
-    """Computes mean errors of a fit (1, T), cm: of joints that were seen, of those that were not; how it moves, and how
-    far feet slide where the true ones stand."""
-    off = 100 * (motion.positions - scene.truth.positions).norm(dim=-1)
+    """Computes mean errors of a fit (1, T), cm: of joints that were seen, of those that were not, in the room and, "in
+    pose", with the pelvis put on the true one; how it moves, and how far feet slide where the true ones stand."""
+    off = {
+        where: 100 * (moved.positions - scene.truth.positions).norm(dim=-1)
+        for where, moved in {"": motion, " in pose": replace(motion, root=scene.truth.root)}.items()
+    }
     speed = lambda x: x.positions.diff(n=2, dim=1).norm(dim=-1).mean().item() * motion.fps**2  # noqa: E731
     feet = motion.skeleton.indices([f"{side}_{part}" for side in gait.SIDES for part in ("ankle", "foot")])
     steps = [x.positions[..., feet, :] for x in (motion, scene.truth)]
     return {
-        "seen joints, cm": off[scene.seen].mean().item(),
-        "hidden joints, cm": off[~scene.seen].mean().item() if (~scene.seen).any() else float("nan"),
+        f"{which} joints{where}, cm": x[joints].mean().item()
+        for which, joints in {"seen": scene.seen, "hidden": ~scene.seen}.items()
+        for where, x in off.items()
+    } | {
         "acceleration / truth's": speed(motion) / speed(scene.truth),
         "slide, mm/frame": gait.slide_where_truth_stands_mm(*steps).mean().item(),
     }
@@ -120,10 +125,8 @@ def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float, *, thing
     shown, roles = panels(fit, scene, (2, 3)), {}
     titled = {"truth": shown["truth"]}
     for k in (2, 3):
-        motion = fit.stages[k]
-        moved = replace(motion, root=scene.truth.root)
-        room, pose = (errors(m, scene)["hidden joints, cm"] for m in (motion, moved))
-        title = f"stage {k}: {room:.0f} cm, pose {pose:.0f}"
+        off = errors(fit.stages[k], scene)
+        title = f"stage {k}: {off['hidden joints, cm']:.0f} cm, pose {off['hidden joints in pose, cm']:.0f}"
         titled[title], roles[title] = shown[f"stage {k}"], ROLES[f"stage {k}"]
     built, _ = stage(titled, roles, body, size=(1080, 400), things=things, ghost=shown["truth"])
     with built:
