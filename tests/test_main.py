@@ -58,7 +58,7 @@ id = "X01"
 section = "3.3.2"
 title = "Size <matters>"
 thesis = "it does"
-notebook = "01_runs"
+notebook = "01"
 [claim.test.size]
 definition = "size"
 unit = "cm"
@@ -77,7 +77,7 @@ notebook = "02"
 def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path, capsys):
     before = dict(os.environ)
     runs = report.write_report(tmp_path / "report", "smoke")
-    assert [(run.notebook, run.status()) for run in runs] == [("00_fails", "failed at cell 2"), ("01_runs", "ran")]
+    assert [(run.notebook, run.status) for run in runs] == [("00_fails", "failed at cell 2"), ("01_runs", "ran")]
     assert "ZeroDivisionError" in runs[0].error and "00_fails: Run today" in capsys.readouterr().out
     index = (tmp_path / "report/index.html").read_text(encoding="utf-8")
     assert 'href="01_runs.html"' in index and "Size &lt;matters&gt;" in index and "not measured yet" in index
@@ -86,7 +86,6 @@ def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path, capsy
     page = (tmp_path / "report/01_runs.html").read_text(encoding="utf-8")
     assert "no numbers are on record" in page and f"smoke {suite}" not in page  # what a short run shows stays out
     assert dict(os.environ) == before
-    assert "1 of 2 notebooks ran" in execute.run_summary(runs)
 
 
 def test_a_full_run_shows_its_own_notebooks_where_they_ran_to_their_end(suite, tmp_path, capsys):
@@ -111,7 +110,7 @@ def test_a_page_says_whether_todays_numbers_are_those_on_record(suite, tmp_path,
     findings.save_record(suite / "results/01.json", replace(record, fingerprint=marks))
     now = {name: staleness.mark(value) for name, value in measured.items()}
     findings.save_record(tmp_path / "out/today/results/01.json", replace(record, findings=(), fingerprint=now))
-    report.build(tmp_path / "out", [execute.Run("01_runs", 1.0)])
+    report.build(tmp_path / "out", [execute.Run("01_runs")])
     page = (tmp_path / "out/01_runs.html").read_text(encoding="utf-8")
     assert said in page and ("X01.size was 4, is 5" in page) == (measured.get("X01.size") == 5.0)
     assert "Not checked today" in (tmp_path / "out/00_fails.html").read_text(encoding="utf-8")
@@ -122,7 +121,7 @@ def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     taken = []
     monkeypatch.setattr(execute, "_write_fingerprint", lambda path, *_: taken.append(path.stem))
     runs = execute.regenerate()
-    assert [run.ok for run in runs] == [False, True] and taken == ["01_runs"]
+    assert [run.status for run in runs] == ["failed at cell 2", "ran"] and taken == ["01_runs"]
     assert (suite / "00_fails.ipynb").read_bytes() == failed_before
     first = (suite / "01_runs.ipynb").read_bytes()
     book = json.loads(first)
@@ -138,9 +137,8 @@ def test_notebooks_run_side_by_side_and_the_longest_begins_first(suite, tmp_path
     findings.save_record(suite / "results/00.json", replace(record, provenance={"smoke seconds": "3"}))
     findings.save_record(suite / "results/01.json", replace(record, provenance={"smoke seconds": "30"}))
     jobs = [(path, tmp_path / path.name) for path in execute.find_notebooks()]
-    seen = []
-    runs = execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, done=seen.append)
-    assert [run.notebook for run in runs] == ["00_fails", "01_runs"] and seen == runs[::-1]
+    execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, ran := [])
+    assert [run.notebook for run in ran] == ["01_runs", "00_fails"]
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("[1/2] 01_runs") and lines[0].endswith("ran") and "failed at cell 2" in lines[1]
 
@@ -159,7 +157,7 @@ def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatc
     smoke = replace(smoke, fingerprint={"size": staleness.mark(5.0)})
     with pytest.raises(staleness.StaleRecord, match="size was 4, is 5"):
         execute._write_fingerprint(path)
-    assert not execute.take_fingerprints(["01"])[0].ok
+    assert suite_main.main(["regenerate", "--fingerprints", "01"]) == 1
     execute._write_fingerprint(path, again=True)
     assert findings.load_record(suite / "results/01.json").fingerprint["size"].value == 5.0
 

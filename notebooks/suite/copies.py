@@ -3,8 +3,6 @@
 ``python -m suite.copies FOLDER`` makes the folder, or brings it up to date.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

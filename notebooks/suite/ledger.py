@@ -13,12 +13,11 @@ marked ``reference`` in ``claims.toml``. Two to seven clips, people or seeds dec
 rounds of a stopwatch: five that agree are rarer than one in twenty by chance (sign test). A single number is a count.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 from motionlab.errors import DataError
 from suite.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding
@@ -87,7 +86,7 @@ class _Measured:
 
     rows: Sequence[Finding]
 
-    def __getitem__(self, source: str) -> _Measured:
+    def __getitem__(self, source: str) -> Self:
         return _Measured([f for f in self.rows if f.source == source])
 
     def __getattr__(self, name: str) -> float:

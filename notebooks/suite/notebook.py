@@ -3,8 +3,6 @@
 Profile, seed, budgets and data folder come in; figures, tables, findings, verdicts and provenance go out.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import os
@@ -13,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,12 +34,13 @@ from suite import findings, ledger, staleness
 from suite.findings import Claim, Criterion, Finding, Record
 
 PROFILES = ("smoke", "full")
+_scratch = cache(lambda: tempfile.TemporaryDirectory(prefix="motionlab-"))
 
 
 def setup(
     notebook: str, *, profile: str | None, seed: int, budgets: Mapping[str, Mapping[str, object]],
     data: str | None = None,
-) -> Lab:  # fmt: skip
+) -> "Lab":  # fmt: skip
     """Opens the lab for one notebook ("02_rotations_that_jump") and prints where it runs.
 
     Args:
@@ -96,10 +95,9 @@ class Lab:
         short = "  \nA short run: readings in the text are those of the full one." if self.profile == "smoke" else ""
         known, cost = self._record().provenance, "It was never recorded how long a run takes."
         if "seconds" in known:
-            took, brief = staleness.duration(float(known["seconds"])), float(known.get("smoke seconds", "nan"))
-            if worked := known.get("processor seconds"):
-                took += f" ({staleness.duration(float(worked))} of a processor)"
-            cost = f"When it was last recorded, a full run took {took}, a short one {brief:.0f} s."
+            took, worked = (staleness.duration(float(known[name])) for name in ("seconds", "processor seconds"))
+            brief = f"a full run took {took} ({worked} of a processor), a short one {known.get('smoke seconds', '?')} s"
+            cost = f"When it was last recorded, {brief}."
         return (
             f"**{self.notebook}**, profile *{self.profile}*, seed {self.seed}, on {where}.  \n"
             f"Python {platform.python_version()}, {packages}; {device}.{short}  \n{cost}"
@@ -126,13 +124,9 @@ class Lab:
             display(HTML(picture._repr_html_()))
         self.say(f"**Figure {number}.** {caption}")
 
-    @cached_property
-    def _workbench(self) -> tempfile.TemporaryDirectory:
-        return tempfile.TemporaryDirectory(prefix="motionlab-")
-
     def scratch(self, name: str) -> Path:
         """Returns a path for a film or file of this run in a folder that is deleted afterwards."""
-        return Path(self._workbench.name) / name
+        return Path(_scratch().name) / name
 
     def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
         """Shows rows (all with the same keys) as a Markdown table; floats with three digits."""
@@ -230,7 +224,7 @@ class Lab:
             return []
         if not record.fingerprint:
             return ["the record has no fingerprint: python -m suite regenerate --fingerprints " + self.number]
-        return record.moved(self._measured(0.0, 0.0))
+        return record.moved(self._measured())
 
     def settled(self) -> list[Finding]:
         """Returns this run's findings, with the recorded ones where this run may not judge. A test that needs the full
@@ -285,21 +279,23 @@ class Lab:
         Raises:
             StaleRecord: a smoke run differs from its fingerprint, and $MOTIONLAB_VERIFY is set.
         """
-        seconds, worked = time.perf_counter() - self.opened, sum(os.times()[:4])  # with what it waited for
+        now = self._measured()
         folder = self.folder / "results" if self.profile == "full" and os.environ.get("MOTIONLAB_RECORD") else None
         if folder := os.environ.get("MOTIONLAB_RESULTS") or folder:
-            findings.save_record(Path(folder) / f"{self.number}.json", self._measured(seconds, worked))
+            findings.save_record(Path(folder) / f"{self.number}.json", now)
         if moved := self.stale():
             if os.environ.get("MOTIONLAB_VERIFY"):
                 raise staleness.StaleRecord(self.notebook, moved, self._record().seconds)
             self.say("**The record is not what this code gives** (or a knob was turned): " + "; ".join(moved) + ".")
-        self.say(f"Ran in {seconds:.0f} s, {worked:.0f} s of processor time; {len(self.found)} findings.")
+        took, worked = now.provenance["seconds"], now.provenance["processor seconds"]
+        self.say(f"Ran in {took} s, {worked} s of processor time; {len(self.found)} findings.")
 
-    def _measured(self, seconds: float, worked: float) -> Record:
+    def _measured(self) -> Record:
         """The record of this run."""
         provenance = {name: version(name) for name in ("torch", "kornia", "pyvista", "numpy")}
         provenance |= {"profile": self.profile, "seed": str(self.seed), "python": platform.python_version()}
-        provenance |= {"seconds": f"{seconds:.0f}", "processor seconds": f"{worked:.0f}"}
+        worked = sum(os.times()[:4])  # with what it waited for
+        provenance |= {"seconds": f"{time.perf_counter() - self.opened:.0f}", "processor seconds": f"{worked:.0f}"}
         marks = self._fingerprint() if self.profile == "smoke" else {}
         seen = {"weights": checkpoint.loaded(), "recordings": staleness.recordings_digest(self.data)}
         return Record(self.notebook, self._code(), tuple(self.settled()), provenance, marks, **seen)

@@ -1,7 +1,5 @@
 """One notebook as a page: text, pictures, films and formulas as HTML that needs no script and no network."""
 
-from __future__ import annotations
-
 import base64
 import html
 import itertools
@@ -9,18 +7,15 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from latex2mathml.converter import convert
 from nbconvert.filters import Highlight2HTML, ansi2html
 from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 from PIL import Image
 
+from suite.findings import Claim, Record
 from suite.staleness import number_of
-
-if TYPE_CHECKING:
-    from suite.findings import Claim, Record
-    from suite.report import Check
 
 _EMBEDDED = re.compile(r'data:(?:image|video)/([\w+]+);base64,([^"]+)')
 _PICTURE = re.compile(r"<(?:video|img)\b[^<]*(?:</video>)?\s*")
@@ -47,6 +42,16 @@ class Picture:
     def alt(self) -> str:
         """What it shows, in the first sentence of its caption."""
         return re.sub(r"[*`$]", "", _SENTENCE.split(self.caption.strip())[0])
+
+
+class Check(NamedTuple):
+    """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details; and how many
+    findings agree with the record."""
+
+    mark: str
+    said: str
+    details: tuple[str, ...] = ()
+    agree: int = 0
 
 
 @dataclass

@@ -1,7 +1,5 @@
 """What README.md and docs/scoreboard.md say of the results, written from the records."""
 
-from __future__ import annotations
-
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -10,7 +8,6 @@ from pathlib import Path
 from motionlab.errors import DataError
 from suite import execute, findings, ledger
 from suite.findings import Claim, Finding
-from suite.staleness import number_of
 
 #: Around what is written into a page; the rest of it is a person's.
 MARKS = ("<!-- findings:start -->", "<!-- findings:end -->")
@@ -67,7 +64,6 @@ def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _link(notebook: str, folder: str) -> str:
-    """A link to the notebook of a number, or of a name that begins with one."""
-    number = number_of(notebook)
+def _link(number: str, folder: str) -> str:
+    """A link to the notebook of a number."""
     return f"[{number}]({folder}/{next(execute.NOTEBOOKS.glob(f'{number}_*.ipynb')).name})"

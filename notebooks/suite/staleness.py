@@ -5,8 +5,6 @@ measures, each number with the distance within which another machine stays. Movi
 it; a changed constant does. What the clock decides is no part of it.
 """
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import json
@@ -14,7 +12,7 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from motionlab.errors import DataError
 
@@ -32,7 +30,7 @@ class Mark(NamedTuple):
     value: float | None
     within: float
 
-    def agrees(self, other: Mark) -> bool:
+    def agrees(self, other: Self) -> bool:
         """Returns whether both are None, or no further apart than either allows."""
         if self.value is None or other.value is None:
             return self.value is other.value
