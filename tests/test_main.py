@@ -119,7 +119,8 @@ def test_a_page_says_whether_todays_numbers_are_those_on_record(suite, tmp_path,
 def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     failed_before = (suite / "00_fails.ipynb").read_bytes()
     taken = []
-    monkeypatch.setattr(execute, "_write_fingerprint", lambda path, *_: taken.append(path.stem))
+    take = lambda path, again: taken.append(path.stem) or execute.Run(path.stem)  # noqa: E731
+    monkeypatch.setattr(execute, "take_fingerprint", take)
     runs = execute.regenerate()
     assert [run.status for run in runs] == ["failed at cell 2", "ran"] and taken == ["01_runs"]
     assert (suite / "00_fails.ipynb").read_bytes() == failed_before
@@ -147,18 +148,17 @@ def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatc
     path = suite / "01_runs.ipynb"
     marks = {"size": staleness.mark(4.0)}
     smoke = findings.Record("01_runs", "", (), {"seconds": "2"}, marks)
-    monkeypatch.setattr(execute, "_measured", lambda path, environment, others: [smoke, smoke])
+    monkeypatch.setattr(execute, "_measured", lambda path, data, others: [smoke, smoke])
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     before = findings.load_record(suite / "results/01.json")
-    execute._write_fingerprint(path)
+    assert not execute.take_fingerprint(path).error
     record = findings.load_record(suite / "results/01.json")
     assert record.fingerprint == marks and record.findings == before.findings
     assert record.source_hash == staleness.code_hash(path) and record.provenance["smoke seconds"] == "2"
     smoke = replace(smoke, fingerprint={"size": staleness.mark(5.0)})
-    with pytest.raises(staleness.StaleRecord, match="size was 4, is 5"):
-        execute._write_fingerprint(path)
+    assert "size was 4, is 5" in execute.take_fingerprint(path).error
     assert suite_main.main(["regenerate", "--fingerprints", "01"]) == 1
-    execute._write_fingerprint(path, again=True)
+    assert suite_main.main(["regenerate", "--fingerprints", "--again", "01"]) == 0
     assert findings.load_record(suite / "results/01.json").fingerprint["size"].value == 5.0
 
 

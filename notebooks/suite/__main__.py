@@ -4,7 +4,6 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from datetime import date
 from pathlib import Path
 
 from motionlab.commands.doctor import ROOT
@@ -57,9 +56,8 @@ def _report(options: argparse.Namespace) -> list[execute.Run]:
 
 def _regenerate(options: argparse.Namespace) -> list[execute.Run]:
     if options.fingerprints:
-        apart = f"taken again on {date.today()}, apart from the full run" if options.again else ""
         paths = execute.find_notebooks(options.notebooks)
-        runs = [execute.take_fingerprint(path, again=options.again, apart=apart) for path in paths]
+        runs = [execute.take_fingerprint(path, again=options.again) for path in paths]
     else:
         runs = execute.regenerate(options.notebooks)
     print(_summary(runs))  # first: the pages cannot be written where an answer lacks its finding

@@ -121,7 +121,7 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
 
 
 # -------------------------------------------------------------------------------------------------------- fingerprints
-def take_fingerprint(path: Path, *, again: bool = False, apart: str = "") -> Run:
+def take_fingerprint(path: Path, *, again: bool = False) -> Run:
     """Runs a notebook in the smoke profile and writes what it measures, and a hash of its cells, into its record.
 
     The full findings stay as they are. A record that has a fingerprint is only confirmed: a smoke run on synthetic
@@ -129,45 +129,33 @@ def take_fingerprint(path: Path, *, again: bool = False, apart: str = "") -> Run
     profile measures in six runs on synthetic motion and three on recordings, as it is and with other rounding, so that
     the numbers say how far rounding moves them.
 
-    Args:
-        again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
-        apart: what the record's provenance says of one that was not taken together with the full run.
+    again: take it also where it differs from the recorded one, as where a budget of the smoke profile was changed.
     """
     try:
-        _write_fingerprint(path, again, apart)
+        record = findings.load_record(findings.record_path(path))
+        confirm = bool(record.fingerprint) and not again
+        others, data = () if confirm else OTHER_ROUNDINGS, os.environ.get("MOTIONLAB_DATA")
+        runs = _measured(path, "", others)
+        with_data = _measured(path, data, others[:2]) if data else []
+        last = (with_data or runs)[0]
+        if confirm:
+            moved = staleness.differences(record.fingerprint, runs[0].fingerprint)
+            moved += staleness.differences(record.expected(last.recordings), last.fingerprint) if with_data else []
+            if moved:
+                raise staleness.StaleRecord(path.stem, list(dict.fromkeys(moved)), record.seconds)
+        else:
+            found, unsteady = staleness.merged([run.fingerprint for run in runs])
+            real, more = staleness.merged([run.fingerprint for run in with_data] or [{}])
+            for name in dict.fromkeys(unsteady + more):
+                print(f"      {name}: differs too much with other rounding, not in the fingerprint", flush=True)
+            real = {name: mark for name, mark in real.items() if name not in found or not mark.agrees(found[name])}
+            record = replace(record, fingerprint=found, fingerprint_on_recordings=real, recordings=last.recordings)
+        took = {"smoke seconds": runs[0].provenance["seconds"]}
+        now = {"source_hash": staleness.code_hash(path), "weights": last.weights}
+        findings.save_record(findings.record_path(path), replace(record, **now, provenance=record.provenance | took))
     except DataError as error:
         return Run(path.stem, "failed", str(error))
     return Run(path.stem)
-
-
-def _write_fingerprint(path: Path, again: bool = False, apart: str = "") -> None:
-    """As :func:`take_fingerprint`.
-
-    Raises:
-        StaleRecord: the record has another fingerprint, and ``again`` is not given.
-        DataError: there is no record, or a run failed.
-    """
-    record = findings.load_record(findings.record_path(path))
-    confirm = bool(record.fingerprint) and not again
-    others, data = () if confirm else OTHER_ROUNDINGS, os.environ.get("MOTIONLAB_DATA")
-    runs = _measured(path, "", others)
-    with_data = _measured(path, data, others[:2]) if data else []
-    last = (with_data or runs)[0]
-    if confirm:
-        moved = staleness.differences(record.fingerprint, runs[0].fingerprint)
-        moved += staleness.differences(record.expected(last.recordings), last.fingerprint) if with_data else []
-        if moved:
-            raise staleness.StaleRecord(path.stem, list(dict.fromkeys(moved)), record.seconds)
-    else:
-        found, unsteady = staleness.merged([run.fingerprint for run in runs])
-        real, more = staleness.merged([run.fingerprint for run in with_data])
-        for name in dict.fromkeys(unsteady + more):
-            print(f"      {name}: differs too much with other rounding, not in the fingerprint", flush=True)
-        real = {name: mark for name, mark in real.items() if name not in found or not mark.agrees(found[name])}
-        record = replace(record, fingerprint=found, fingerprint_on_recordings=real, recordings=last.recordings)
-    said = {"smoke seconds": runs[0].provenance["seconds"]} | ({"fingerprint": apart} if apart else {})
-    now = {"source_hash": staleness.code_hash(path), "weights": last.weights}
-    findings.save_record(findings.record_path(path), replace(record, **now, provenance=record.provenance | said))
 
 
 def _measured(path: Path, data: str, others: Sequence[dict[str, str]]) -> list[Record]:

@@ -92,11 +92,10 @@ class _Measured:
     def __getattr__(self, name: str) -> float:
         if len(self.rows) != 1:
             raise KeyError(f"{len(self.rows)} sources: name one")
-        first = self.rows[0]
-        more = {"size": abs(first.value), "baseline": first.baseline_value}
-        number = more[name] if name in more else getattr(first, name)
+        (row,) = self.rows
+        number = (vars(row) | {"size": abs(row.value), "baseline": row.baseline_value})[name]
         if not math.isfinite(number):
-            raise ValueError(f"{name} of {first.test}: not finite")
+            raise ValueError(f"{name} of {row.test}: not finite")
         return number
 
 
@@ -134,8 +133,8 @@ def spoken(claim: Claim, found: Sequence[Finding]) -> str:
 
 def apart(claim: Claim, found: Sequence[Finding]) -> dict[str, str]:
     """Returns the verdict on synthetic motion alone and on recordings alone."""
-    parts = {"synthetic": False, "real": True}.items()
-    return {name: verdict(claim, [f for f in found if is_real(f) == real]) for name, real in parts}
+    parts = enumerate(("synthetic", "real"))
+    return {name: verdict(claim, [f for f in found if is_real(f) == real]) for real, name in parts}
 
 
 def is_real(finding: Finding) -> bool:

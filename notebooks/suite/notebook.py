@@ -5,6 +5,7 @@ Profile, seed, budgets and data folder come in; figures, tables, findings, verdi
 
 import hashlib
 import io
+import math
 import os
 import platform
 import tempfile
@@ -59,9 +60,9 @@ def setup(
         raise DataError("no such folder", path=data, remedy="set MOTIONLAB_DATA to the unpacked recordings")
     viz.draft = profile == "smoke" and bool(os.environ.get("MOTIONLAB_BATCH"))  # a person wants to see whole films
     parallel.one_thread()
-    here, budget = Path.cwd(), SimpleNamespace(**budgets[profile])
-    claims = findings.load_claims(here / "claims.toml")
-    lab = Lab(notebook, profile, seed, budget, Path(data) if data else None, claims, here)
+    budget, file = SimpleNamespace(**budgets[profile]), Path.cwd() / f"{notebook}.ipynb"
+    claims, record = findings.load_claims(file.parent / "claims.toml"), findings.record_of(file)
+    lab = Lab(notebook, profile, seed, budget, Path(data) if data else None, claims, file.parent, record)
     lab.say(lab.headline())
     return lab
 
@@ -77,6 +78,7 @@ class Lab:
     data: Path | None
     claims: dict[str, Claim]
     folder: Path
+    recorded: Record
     found: list[Finding] = field(default_factory=list)
     marks: staleness.Fingerprint = field(default_factory=dict)
     opened: float = field(default_factory=time.perf_counter)
@@ -93,7 +95,7 @@ class Lab:
         cpu = f"CPU, {torch.get_num_threads()} threads"
         device = torch.cuda.get_device_name() if torch.cuda.is_available() else cpu
         short = "  \nA short run: readings in the text are those of the full one." if self.profile == "smoke" else ""
-        known, cost = self._record().provenance, "It was never recorded how long a run takes."
+        known, cost = self.recorded.provenance, "It was never recorded how long a run takes."
         if "seconds" in known:
             took, worked = (staleness.duration(float(known[name])) for name in ("seconds", "processor seconds"))
             brief = f"a full run took {took} ({worked} of a processor), a short one {known.get('smoke seconds', '?')} s"
@@ -149,7 +151,7 @@ class Lab:
 
         The numbers are this run's in the full profile. In the smoke profile they are those of the committed record.
         """
-        found = self.settled() if self.profile == "full" else self._record().findings
+        found = self.settled() if self.profile == "full" else self.recorded.findings
         mine = [claim for claim in self.claims.values() if claim.notebook == self.number]
         said = [(c, ledger.spoken(c, found), ledger.found_answer(c, found)) for c in mine]
         self.say("\n".join(f'- **{c.id}**, "{c.title}": **{verdict}.** {answer}' for c, verdict, answer in said))
@@ -181,19 +183,16 @@ class Lab:
             source: "synthetic" or the recording set; one finding per test and source.
             statistic: as in :func:`motionlab.intervals.interval`; also applied to ``baseline``.
         """
-        rule = self.criterion(test)
-        samples = torch.as_tensor(samples, dtype=torch.float64).flatten()
-        value, low, high = (float("nan"),) * 3
-        if n := samples.numel():
-            value, low, high = interval(samples, statistic, self.generator(f"{test}/{source}"))
-        if baseline is not None:
-            baseline = torch.as_tensor(baseline, dtype=torch.float64).flatten()
-            generator = self.generator(f"{test}/{source}/baseline")
-            baseline = interval(baseline, statistic, generator)[0] if baseline.numel() else None
-        verdict = findings.judge(rule, low, high, n)
+        rule, name = self.criterion(test), f"{test}/{source}"
+        rival = [] if baseline is None else baseline
+        samples, rival = (torch.as_tensor(x, dtype=torch.float64).flatten() for x in (samples, rival))
+        value, low, high = (math.nan,) * 3
+        if n := len(samples):
+            value, low, high = interval(samples, statistic, self.generator(name))
+        base = interval(rival, statistic, self.generator(f"{name}/baseline"))[0] if len(rival) else None
         finding = Finding(
-            test, source, value, low, high, n, rule.unit, statistic, rule.bound_text(), verdict, self.notebook,
-            self.profile, rule.baseline, baseline, note,
+            test, source, value, low, high, n, rule.unit, statistic, rule.bound_text(),
+            findings.judge(rule, low, high, n), self.notebook, self.profile, rule.baseline, base, note,
         )  # fmt: skip
         self.found = [f for f in self.found if (f.test, f.source) != (test, source)] + [finding]
         return finding
@@ -218,7 +217,7 @@ class Lab:
 
     def stale(self) -> list[str]:
         """Lists how this smoke run differs from its record, a phrase each."""
-        record = self._record()
+        record = self.recorded
         measured = record.fingerprint or self.marks or self.found
         if self.profile != "smoke" or not record.source_hash or not measured:
             return []
@@ -230,17 +229,13 @@ class Lab:
         """Returns this run's findings, with the recorded ones where this run may not judge. A test that needs the full
         profile or real recordings repeats what the last full run recorded, so that verdicts read the same on every
         machine. A full run takes over old rows only where the notebook's code is still theirs."""
-        record = self._record()
-        recorded = {(f.test, f.source): f for f in record.findings}
+        recorded = {(f.test, f.source): f for f in self.recorded.findings}
         fresh = {(f.test, f.source): f for f in self.found}
         away = {k: r for k, r in recorded.items() if self.data is None and k not in fresh and r.source != "synthetic"}
         if self.profile == "full":
-            return [*(away if record.source_hash == self._code() else {}).values(), *fresh.values()]
+            return [*(away if self.recorded.source_hash == self._code() else {}).values(), *fresh.values()]
         slow = {k: r for k, r in recorded.items() if "full" in self.criterion(r.test).needs}
         return [value for key, value in (recorded | fresh | slow).items() if key in fresh | away | slow]
-
-    def _record(self) -> Record:
-        return findings.record_of(self.folder / f"{self.notebook}.ipynb")
 
     def _code(self) -> str:
         file = self.folder / f"{self.notebook}.ipynb"
@@ -285,7 +280,7 @@ class Lab:
             findings.save_record(Path(folder) / f"{self.number}.json", now)
         if moved := self.stale():
             if os.environ.get("MOTIONLAB_VERIFY"):
-                raise staleness.StaleRecord(self.notebook, moved, self._record().seconds)
+                raise staleness.StaleRecord(self.notebook, moved, self.recorded.seconds)
             self.say("**The record is not what this code gives** (or a knob was turned): " + "; ".join(moved) + ".")
         took, worked = now.provenance["seconds"], now.provenance["processor seconds"]
         self.say(f"Ran in {took} s, {worked} s of processor time; {len(self.found)} findings.")

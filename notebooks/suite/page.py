@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import nbformat
 from latex2mathml.converter import convert
 from nbconvert.filters import Highlight2HTML, ansi2html
 from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
@@ -79,8 +80,6 @@ class Page:
 
 def read(notebook: Path, out: Path) -> Page:
     """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media."""
-    import nbformat  # takes seconds to load
-
     (out / "media").mkdir(parents=True, exist_ok=True)
     book, number, numbers = nbformat.read(notebook, as_version=4), number_of(notebook.stem), itertools.count(1)
 
@@ -90,8 +89,7 @@ def read(notebook: Path, out: Path) -> Page:
         (out / file).write_bytes(base64.b64decode(embedded[2]))
         return file
 
-    pictures, body = [], []
-    code = ""  # that showed nothing yet: folded together with what follows
+    pictures, body, code = [], [], ""  # code that showed nothing yet: folded together with what follows
     for cell in (*book.cells, nbformat.v4.new_markdown_cell("")):
         if cell.cell_type == "code":
             code += _HIGHLIGHT(cell.source)
@@ -157,11 +155,9 @@ def _said(text: str, *heads: str) -> str:
 
 
 def _begin(text: str) -> str:
-    """The first sentence; where it is short, with those after it."""
-    said = ""
-    for sentence in _SENTENCE.split(text):
-        said += f" {sentence}" if len(said) <= _SHORT else ""
-    return said.strip()
+    """The first sentence; where it is short, with the next one."""
+    first, *more = _SENTENCE.split(text)
+    return " ".join([first, *more[: len(first) <= _SHORT]])
 
 
 # ------------------------------------------------------------------------------------------------------------- outputs

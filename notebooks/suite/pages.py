@@ -28,11 +28,10 @@ def update(root: Path) -> None:
     found = findings.load_results(execute.NOTEBOOKS / "results")
     for name, written in (("docs/scoreboard.md", scoreboard), ("README.md", first_findings)):
         path, (start, end) = root / name, MARKS
-        text = path.read_text(encoding="utf-8")
-        if start not in text or end not in text:
+        before, _, rest = path.read_text(encoding="utf-8").partition(f"{start}\n")
+        if end not in rest:
             raise DataError("no marks for the findings", path=path, remedy=f"add the lines {start} and {end}")
-        whole = f"{text.split(start)[0]}{start}\n{written(claims, found)}{end}{text.split(end)[1]}"
-        path.write_text(whole, encoding="utf-8")
+        path.write_text(f"{before}{start}\n{written(claims, found)}{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 def first_findings(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str:
@@ -43,7 +42,7 @@ def first_findings(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str
     lines = []
     for headline in tomllib.loads((execute.NOTEBOOKS / "claims.toml").read_text(encoding="utf-8"))["headline"]:
         named = [claims[name] for name in headline["claims"]]
-        tests = sum((claim.tests for claim in named), ())
+        tests = [test for claim in named for test in claim.tests]
         said = ledger.answer(Claim("README", "", "", "", "", answer=headline["says"], tests=tests), found)
         lines.append(f"- {said} ({_link(named[0].notebook, 'notebooks')})\n")
     counts = Counter(ledger.verdict(claim, found) for claim in claims.values())

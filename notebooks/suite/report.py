@@ -28,14 +28,6 @@ PARTS = {
     "00": "Start here", "01": "Motion, rotations, skin", "04": "A prior of transitions: repairing what a camera saw",
     "10": "A diffusion model: making motion", "99": "All answers",
 }  # fmt: skip
-#: A verdict's colour and how it reads in a chip; the ledger's come in the order in which they are listed.
-_VERDICTS = {
-    ledger.CONFIRMED: ("#1a7f37", "confirmed"), ledger.CONDITION: ("#9a6700", "true on a condition"),
-    ledger.REFUTED: ("#b3261e", "refuted"), ledger.CONSTRUCTION: ("#0b6e99", "by construction"),
-    ledger.UNDECIDED: ("#57606a", "undecided"), ledger.OPEN: ("#6e7781", "not measured yet"),
-    findings.HOLDS: ("#1a7f37", "holds"), findings.FAILS: ("#b3261e", "does not hold"),
-    findings.UNJUDGED: ("#57606a", "cannot be judged"),
-}  # fmt: skip
 
 
 def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: bool = True) -> list[Run]:
@@ -115,7 +107,7 @@ def _write(out: Path, entries: Sequence[Page], verdicts: Sequence[tuple[Claim, s
     films = [picture for entry in entries for picture in entry.pictures if picture.film]
     environment.globals |= {
         "entries": entries, "parts": {title: list(some) for title, some in parts}, "claims": verdicts,
-        "verdicts": _VERDICTS, "findings": found, "ledger": ledger,
+        "findings": found, "ledger": ledger,
         "film": max(films, key=lambda film: film.caption.startswith(FILM), default=None),
         "pages": {entry.number: f"{entry.name}.html" for entry in entries},
         "points": next((entry.points for entry in reversed(entries) if entry.points), ()),

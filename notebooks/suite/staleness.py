@@ -75,17 +75,15 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
     Returns:
         the fingerprint, and what differs too much, or is not in all of them, to be part of it.
     """
-    found, unsteady = {}, []
-    for name, (value, within) in (runs[0] if runs else {}).items():
+    found = {}
+    for name, (value, within) in runs[0].items():
         marks = [run[name] for run in runs if name in run]
         known = [mark.value for mark in marks if mark.value is not None]
         spread = max((abs(each - value) for each in known if value is not None), default=0.0)
         size = min((mark.within for mark in marks if mark.within), default=0.0) / TOLERANCE
-        if len(marks) < len(runs) or len(known) not in (0, len(runs)) or spread > STEADY * size:
-            unsteady.append(name)
-        else:
+        if len(marks) == len(runs) and len(known) in (0, len(runs)) and spread <= STEADY * size:
             found[name] = Mark(value, max(within, SLACK * spread))
-    return found, unsteady
+    return found, [name for name in runs[0] if name not in found]
 
 
 def differences(recorded: Fingerprint, now: Fingerprint) -> list[str]:
