@@ -21,9 +21,9 @@ def bench(tmp_path, monkeypatch):
     cell = {"cell_type": "code", "source": ["x = 1"], "outputs": []}
     (tmp_path / "02_x.ipynb").write_text(json.dumps({"cells": [cell]}))
     monkeypatch.chdir(tmp_path)
-    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS"):
+    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
+    monkeypatch.setenv("MOTIONLAB_RESULTS", str(tmp_path / "results"))
     return lambda profile, **how: notebook.setup("02_x", profile=profile, budgets=BUDGETS, **{"seed": 0} | how)
 
 
@@ -100,11 +100,13 @@ def test_a_full_run_without_recordings_keeps_what_was_measured_on_them(bench, tm
     assert {f.source for f in findings.load_results(tmp_path / "results")} == {"synthetic"}
 
 
-def test_smoke_writes_no_results_unless_asked(bench, tmp_path, monkeypatch):
-    bench("smoke").close()
+@pytest.mark.parametrize("profile", ["smoke", "full"])
+def test_a_run_writes_no_results_unless_asked(bench, tmp_path, monkeypatch, profile):
+    monkeypatch.delenv("MOTIONLAB_RESULTS")
+    bench(profile).close()
     assert not (tmp_path / "results").exists()
     monkeypatch.setenv("MOTIONLAB_RESULTS", str(tmp_path / "elsewhere"))
-    bench("smoke").close()
+    bench(profile).close()
     assert (tmp_path / "elsewhere" / "02.json").exists()
 
 

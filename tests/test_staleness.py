@@ -47,7 +47,7 @@ def suite(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("MOTIONLAB_VERIFY", "1")
-    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS", "MOTIONLAB_RECORD"):
+    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS"):
         monkeypatch.delenv(name, raising=False)
     write_cells(tmp_path, CELLS)
 
@@ -71,9 +71,8 @@ def write_cells(folder, cells):
 
 def stamped(run, folder, monkeypatch):
     """The record of a full run with the fingerprint of a smoke run."""
-    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
+    monkeypatch.setenv("MOTIONLAB_RESULTS", str(folder / "results"))
     run("full")
-    monkeypatch.delenv("MOTIONLAB_RECORD")
     monkeypatch.setenv("MOTIONLAB_RESULTS", str(folder / "smoke"))
     monkeypatch.delenv("MOTIONLAB_VERIFY")
     run()
@@ -120,8 +119,9 @@ def test_moving_renaming_and_rewording_do_not(suite, tmp_path, monkeypatch):
 
 
 def test_a_record_without_fingerprint_says_how_to_take_it(suite, tmp_path, monkeypatch):
-    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
+    monkeypatch.setenv("MOTIONLAB_RESULTS", str(tmp_path / "results"))
     suite("full")
+    monkeypatch.delenv("MOTIONLAB_RESULTS")
     with pytest.raises(staleness.StaleRecord, match="regenerate --fingerprints 02"):
         suite()
 

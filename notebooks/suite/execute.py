@@ -55,7 +55,6 @@ def find_notebooks(names: Sequence[str] = ()) -> list[Path]:
     return [path for path in suite if not heads or path.name.startswith(heads)]
 
 
-# ------------------------------------------------------------------------------------------------------- one notebook
 async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run:
     """Runs one notebook into another file (or its own), with these variables set beside those of this process. Whatever
     happens in it is reported, not raised. ``out`` gets the outputs up to the cell that failed; where ``out`` is
@@ -86,7 +85,6 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
     return run
 
 
-# ------------------------------------------------------------------------------------------------------ several of them
 def run_side_by_side(jobs: Sequence[tuple[Path, Path]], environment: Mapping[str, str], ran: list[Run]) -> None:
     """Runs notebooks (from, to) on as many processes as there are cores, one thread each; appends how each went to
     ``ran``, and prints it, as it ends. Those that took longest when last recorded begin first."""
@@ -110,17 +108,16 @@ def regenerate(names: Sequence[str] = ()) -> list[Run]:
 
     A notebook that fails keeps its file.
     """
-    runs = []
+    runs, environment = [], {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_RESULTS": str(NOTEBOOKS / "results")}
     for path in find_notebooks(names):
         print(f"{path.stem} ...", flush=True)
         start = time.perf_counter()
-        run = asyncio.run(_execute(path, path, {"MOTIONLAB_PROFILE": "full", "MOTIONLAB_RECORD": "1"}))
+        run = asyncio.run(_execute(path, path, environment))
         runs.append(run if run.error else take_fingerprint(path, again=True))
         print(f"      {runs[-1].status}, {time.perf_counter() - start:.0f} s", flush=True)
     return runs
 
 
-# -------------------------------------------------------------------------------------------------------- fingerprints
 def take_fingerprint(path: Path, *, again: bool = False) -> Run:
     """Runs a notebook in the smoke profile and writes what it measures, and a hash of its cells, into its record.
 
@@ -142,7 +139,7 @@ def take_fingerprint(path: Path, *, again: bool = False) -> Run:
             moved = staleness.differences(record.fingerprint, runs[0].fingerprint)
             moved += staleness.differences(record.expected(last.recordings), last.fingerprint) if with_data else []
             if moved:
-                raise staleness.StaleRecord(path.stem, list(dict.fromkeys(moved)), record.seconds)
+                raise staleness.StaleRecord(path.stem, list(dict.fromkeys(moved)), record.provenance)
         else:
             found, unsteady = staleness.merged([run.fingerprint for run in runs])
             real, more = staleness.merged([run.fingerprint for run in with_data] or [{}])

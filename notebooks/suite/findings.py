@@ -22,7 +22,6 @@ from suite.staleness import Fingerprint, Mark
 HOLDS, FAILS, UNJUDGED = "holds", "does not hold", "cannot be judged here"
 ROLES = ("claim", "control", "apparatus", "beyond")
 _NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure
-_FINGERPRINTS = ("fingerprint", "fingerprint_on_recordings")
 
 
 @dataclass(frozen=True)
@@ -192,11 +191,6 @@ class Record:
     weights: dict[str, str] = field(default_factory=dict)
     recordings: dict[str, str] = field(default_factory=dict)
 
-    @property
-    def seconds(self) -> float | None:
-        """How long the run took; None where the record does not say."""
-        return float(self.provenance["seconds"]) if "seconds" in self.provenance else None
-
     def expected(self, recordings: dict[str, str]) -> Fingerprint:
         """Returns what a smoke run must measure beside these recordings.
 
@@ -238,7 +232,7 @@ def load_record(path: Path | str) -> Record:
     try:
         raw = json.loads(Path(path).read_text(encoding="utf-8"))
         rows = [row | {name: math.nan for name in _NUMBERS if row[name] is None} for row in raw["findings"]]
-        marks = {name: {n: Mark(*pair) for n, pair in raw.get(name, {}).items()} for name in _FINGERPRINTS}
+        marks = {k: {n: Mark(*pair) for n, pair in raw[k].items()} for k in raw if k.startswith("fingerprint")}
         return Record(**{**raw, **marks, "findings": tuple(Finding(**row) for row in rows)})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(str(error), path=path, remedy="run `make full` to measure again") from error

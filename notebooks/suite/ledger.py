@@ -16,8 +16,7 @@ rounds of a stopwatch: five that agree are rarer than one in twenty by chance (s
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 from motionlab.errors import DataError
 from suite.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding
@@ -31,8 +30,7 @@ _REAL = ("recordings", "bandai_namco", "pose2sim", "anidance", "cmu", "captury")
 _NUMBERS = re.compile(r"\d[\d.,]*\d|\d")
 
 
-@dataclass(frozen=True)
-class Weighed:
+class Weighed(NamedTuple):
     """A finding with its test and what it says of the claim: holds, does not hold, cannot be judged, or nothing."""
 
     test: Criterion
@@ -80,19 +78,16 @@ def verdict(claim: Claim, found: Iterable[Finding]) -> str:
 
 
 # --------------------------------------------------------------------------------------------------------- in words
-@dataclass(frozen=True)
-class _Measured:
+class _Measured(list):
     """The findings of one test as an answer may name them: {sits.value:.0%}, {sits[recordings].low:.2f}."""
 
-    rows: Sequence[Finding]
-
     def __getitem__(self, source: str) -> Self:
-        return _Measured([f for f in self.rows if f.source == source])
+        return _Measured(f for f in self if f.source == source)
 
     def __getattr__(self, name: str) -> float:
-        if len(self.rows) != 1:
-            raise KeyError(f"{len(self.rows)} sources: name one")
-        (row,) = self.rows
+        if len(self) != 1:
+            raise KeyError(f"{len(self)} sources: name one")
+        (row,) = self
         number = (vars(row) | {"size": abs(row.value), "baseline": row.baseline_value})[name]
         if not math.isfinite(number):
             raise ValueError(f"{name} of {row.test}: not finite")

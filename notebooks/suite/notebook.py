@@ -10,7 +10,7 @@ import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
@@ -62,7 +62,8 @@ def setup(
     parallel.one_thread()
     budget, file = SimpleNamespace(**budgets[profile]), Path.cwd() / f"{notebook}.ipynb"
     claims, record = findings.load_claims(file.parent / "claims.toml"), findings.record_of(file)
-    lab = Lab(notebook, profile, seed, budget, Path(data) if data else None, claims, file.parent, record)
+    code = staleness.code_hash(file) if file.exists() else ""
+    lab = Lab(notebook, profile, seed, budget, Path(data) if data else None, claims, file.parent, record, code)
     lab.say(lab.headline())
     return lab
 
@@ -79,14 +80,10 @@ class Lab:
     claims: dict[str, Claim]
     folder: Path
     recorded: Record
+    code: str
     found: list[Finding] = field(default_factory=list)
     marks: staleness.Fingerprint = field(default_factory=dict)
     opened: float = field(default_factory=time.perf_counter)
-
-    @property
-    def number(self) -> str:
-        """The notebook's number, "02" or "05a"."""
-        return staleness.number_of(self.notebook)
 
     def headline(self) -> str:
         """Returns profile, data, seed, device and versions, and how long a run took when it was last recorded."""
@@ -97,7 +94,7 @@ class Lab:
         short = "  \nA short run: readings in the text are those of the full one." if self.profile == "smoke" else ""
         known, cost = self.recorded.provenance, "It was never recorded how long a run takes."
         if "seconds" in known:
-            took, worked = (staleness.duration(float(known[name])) for name in ("seconds", "processor seconds"))
+            took, worked = (staleness.duration(known[name]) for name in ("seconds", "processor seconds"))
             brief = f"a full run took {took} ({worked} of a processor), a short one {known.get('smoke seconds', '?')} s"
             cost = f"When it was last recorded, {brief}."
         return (
@@ -116,14 +113,14 @@ class Lab:
 
     def figure(self, picture: object, number: str, caption: str) -> None:
         """Shows a matplotlib Figure, an RGB array (H, W, 3) or a film, with its caption below."""
+        file = io.BytesIO()
         if isinstance(picture, Figure):
-            display(Image(_png(picture.savefig, dpi=110, bbox_inches="tight")))
+            picture.savefig(file, dpi=110, bbox_inches="tight")
             plt.close(picture)
         elif isinstance(picture, np.ndarray):
             small = Pillow.fromarray(picture).quantize(256, dither=Pillow.Dither.NONE)  # a third of the bytes
-            display(Image(_png(small.save, optimize=True)))
-        else:
-            display(HTML(picture._repr_html_()))
+            small.save(file, "png", optimize=True)
+        display(Image(file.getvalue()) if file.tell() else HTML(picture._repr_html_()))
         self.say(f"**Figure {number}.** {caption}")
 
     def scratch(self, name: str) -> Path:
@@ -152,7 +149,7 @@ class Lab:
         The numbers are this run's in the full profile. In the smoke profile they are those of the committed record.
         """
         found = self.settled() if self.profile == "full" else self.recorded.findings
-        mine = [claim for claim in self.claims.values() if claim.notebook == self.number]
+        mine = [claim for claim in self.claims.values() if claim.notebook == staleness.number_of(self.notebook)]
         said = [(c, ledger.spoken(c, found), ledger.found_answer(c, found)) for c in mine]
         self.say("\n".join(f'- **{c.id}**, "{c.title}": **{verdict}.** {answer}' for c, verdict, answer in said))
 
@@ -217,13 +214,12 @@ class Lab:
 
     def stale(self) -> list[str]:
         """Lists how this smoke run differs from its record, a phrase each."""
-        record = self.recorded
-        measured = record.fingerprint or self.marks or self.found
-        if self.profile != "smoke" or not record.source_hash or not measured:
+        if self.profile != "smoke" or not self.recorded.source_hash:
             return []
-        if not record.fingerprint:
-            return ["the record has no fingerprint: python -m suite regenerate --fingerprints " + self.number]
-        return record.moved(self._measured())
+        if not self.recorded.fingerprint:
+            remedy = f"python -m suite regenerate --fingerprints {staleness.number_of(self.notebook)}"
+            return [f"the record has no fingerprint: {remedy}"]
+        return self.recorded.moved(self._measured())
 
     def settled(self) -> list[Finding]:
         """Returns this run's findings, with the recorded ones where this run may not judge. A test that needs the full
@@ -233,13 +229,9 @@ class Lab:
         fresh = {(f.test, f.source): f for f in self.found}
         away = {k: r for k, r in recorded.items() if self.data is None and k not in fresh and r.source != "synthetic"}
         if self.profile == "full":
-            return [*(away if self.recorded.source_hash == self._code() else {}).values(), *fresh.values()]
+            return [*(away if self.recorded.source_hash == self.code else {}).values(), *fresh.values()]
         slow = {k: r for k, r in recorded.items() if "full" in self.criterion(r.test).needs}
         return [value for key, value in (recorded | fresh | slow).items() if key in fresh | away | slow]
-
-    def _code(self) -> str:
-        file = self.folder / f"{self.notebook}.ipynb"
-        return staleness.code_hash(file) if file.exists() else ""
 
     def findings(self, *, fold: bool = False) -> None:
         """Shows every number measured in this run; fold: behind a click."""
@@ -266,21 +258,17 @@ class Lab:
         self.fold("Test, bound and verdict", rows) if fold else self.table(rows)
 
     def close(self) -> None:
-        """Compares a smoke run with the record, and writes one where that is asked for.
-
-        A run of ``make full`` ($MOTIONLAB_RECORD) writes results/NN.json; any run writes to $MOTIONLAB_RESULTS when
-        that is set; others write nothing.
+        """Writes this run's record into the folder $MOTIONLAB_RESULTS, if set; compares a smoke run with the one on file.
 
         Raises:
             StaleRecord: a smoke run differs from its fingerprint, and $MOTIONLAB_VERIFY is set.
         """
         now = self._measured()
-        folder = self.folder / "results" if self.profile == "full" and os.environ.get("MOTIONLAB_RECORD") else None
-        if folder := os.environ.get("MOTIONLAB_RESULTS") or folder:
-            findings.save_record(Path(folder) / f"{self.number}.json", now)
+        if folder := os.environ.get("MOTIONLAB_RESULTS"):
+            findings.save_record(Path(folder) / f"{staleness.number_of(self.notebook)}.json", now)
         if moved := self.stale():
             if os.environ.get("MOTIONLAB_VERIFY"):
-                raise staleness.StaleRecord(self.notebook, moved, self.recorded.seconds)
+                raise staleness.StaleRecord(self.notebook, moved, self.recorded.provenance)
             self.say("**The record is not what this code gives** (or a knob was turned): " + "; ".join(moved) + ".")
         took, worked = now.provenance["seconds"], now.provenance["processor seconds"]
         self.say(f"Ran in {took} s, {worked} s of processor time; {len(self.found)} findings.")
@@ -293,13 +281,7 @@ class Lab:
         provenance |= {"seconds": f"{time.perf_counter() - self.opened:.0f}", "processor seconds": f"{worked:.0f}"}
         marks = self._fingerprint() if self.profile == "smoke" else {}
         seen = {"weights": checkpoint.loaded(), "recordings": staleness.recordings_digest(self.data)}
-        return Record(self.notebook, self._code(), tuple(self.settled()), provenance, marks, **seen)
-
-
-def _png(write: Callable[..., object], **how: object) -> bytes:
-    buffer = io.BytesIO()
-    write(buffer, format="png", **how)
-    return buffer.getvalue()
+        return Record(self.notebook, self.code, tuple(self.settled()), provenance, marks, **seen)
 
 
 def _markdown_table(rows: Sequence[Mapping[str, object]]) -> str:

@@ -5,7 +5,7 @@ import html
 import itertools
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,8 +25,7 @@ _HIGHLIGHT = Highlight2HTML(pygments_lexer="ipython3")
 _SHORT = 60  # characters: a first sentence such as "No." needs the next one
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A picture or film that a notebook stores: its file and that of its first frame, relative to the report."""
 
     file: str
@@ -46,8 +45,7 @@ class Picture:
 
 
 class Check(NamedTuple):
-    """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details; and how many
-    findings agree with the record."""
+    """What today's run says: "good", "bad" or "" (nothing), a sentence, details, how many findings agree."""
 
     mark: str
     said: str
@@ -104,13 +102,14 @@ def read(notebook: Path, out: Path) -> Page:
             pictures += [each] if isinstance(each, Picture) else []
             body.append(_figure(each) if isinstance(each, Picture) else each)
     first = next((cell.source for cell in book.cells if cell.cell_type == "markdown"), "")
-    answer = _said(first, "Answer", "We find")
+    answer = _said(first, "Answer")
     points = re.findall(r"^- \*\*(.+?)\*\*", answer, re.MULTILINE)
+    opening, *more = _SENTENCE.split(answer)
     title = re.match(r"# (?:\S+ · )?(.*)", first)
     return Page(
         name=notebook.stem, number=number, title=title[1] if title else notebook.stem,
-        question=_inline(_said(first, "Question")),
-        answer=_inline(points[0] if answer.startswith("- ") else _begin(answer)), points=list(map(_inline, points)),
+        question=_inline(_said(first, "Question")), points=list(map(_inline, points)),
+        answer=_inline(" ".join([opening, *more[: len(opening) <= _SHORT]])),
         pictures=pictures, picture=min(pictures, key=lambda each: not each.film, default=None),
         body=re.sub(r'\.ipynb(?=["#])', ".html", "\n".join(body)),  # links to other notebooks
     )  # fmt: skip
@@ -147,17 +146,10 @@ def _inline(text: str) -> str:
     return markdown(text).strip().removeprefix("<p>").removesuffix("</p>")
 
 
-def _said(text: str, *heads: str) -> str:
-    """The paragraph, and a list right below it, that begins with one of these words in bold."""
-    head = rf"^\*\*(?:{'|'.join(heads)})\.?\*\*(?: \([^)]*\)\.)?\s*"
-    found = re.search(head + r"(.+?)(?=\n\n(?!- )|\Z)", text, re.MULTILINE | re.DOTALL)
+def _said(text: str, head: str) -> str:
+    """The paragraph, and a list right below it, that begins with this word in bold."""
+    found = re.search(rf"^\*\*{head}\.\*\*\s*(.+?)(?=\n\n(?!- )|\Z)", text, re.MULTILINE | re.DOTALL)
     return found[1] if found else ""
-
-
-def _begin(text: str) -> str:
-    """The first sentence; where it is short, with the next one."""
-    first, *more = _SENTENCE.split(text)
-    return " ".join([first, *more[: len(first) <= _SHORT]])
 
 
 # ------------------------------------------------------------------------------------------------------------- outputs
@@ -170,7 +162,7 @@ def _shown(outputs: list, keep: Callable[[re.Match[str]], str], out: Path) -> li
         if "image/png" in data:
             embedded = f'<img src="data:image/png;base64,{data["image/png"]}">'
         if text.startswith("**Figure") and shown and isinstance(shown[-1], Picture):
-            shown[-1] = replace(shown[-1], caption=text)
+            shown[-1] = shown[-1]._replace(caption=text)
         elif text:
             shown.append(markdown(text))
         elif embedded and _PICTURE.fullmatch(embedded):

@@ -9,7 +9,7 @@ import ast
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -49,17 +49,18 @@ def number_of(notebook: str) -> str:
 
 
 class StaleRecord(DataError):
-    """A record that its code no longer gives; ``moved`` says in what."""
+    """A record that its code no longer gives: in what (``moved``), and what it says of its run (``provenance``)."""
 
-    def __init__(self, notebook: str, moved: Sequence[str], seconds: float | None = None) -> None:
-        took = "" if seconds is None else f" ({duration(seconds)} when last run)"
+    def __init__(self, notebook: str, moved: Sequence[str], provenance: Mapping[str, str]) -> None:
+        took = f" ({duration(provenance['seconds'])} when last run)" if "seconds" in provenance else ""
         remedy = f"make full NOTEBOOKS={number_of(notebook)}{took}"
         super().__init__("stale: " + "; ".join(moved), place=f"record of {notebook}", remedy=remedy)
 
 
-def duration(seconds: float) -> str:
-    """Returns a duration as a person says it: "8 min", or "1.6 h"."""
-    return f"{seconds / 3600:.1f} h" if seconds >= 5400 else f"{max(1, round(seconds / 60))} min"
+def duration(seconds: str) -> str:
+    """Returns seconds, as a record has them, as a person says it: "8 min", or "1.6 h"."""
+    minutes = float(seconds) / 60
+    return f"{minutes / 60:.1f} h" if minutes >= 90 else f"{max(1, round(minutes))} min"
 
 
 def mark(value: float | None, scale: float = 0.0, tolerance: float = TOLERANCE) -> Mark:
