@@ -258,7 +258,7 @@ class Lab:
         self.fold("Test, bound and verdict", rows) if fold else self.table(rows)
 
     def close(self) -> None:
-        """Writes this run's record into the folder $MOTIONLAB_RESULTS, if set; compares a smoke run with the one on file.
+        """Writes this run's record into $MOTIONLAB_RESULTS, if set; compares a smoke run with the one on file.
 
         Raises:
             StaleRecord: a smoke run differs from its fingerprint, and $MOTIONLAB_VERIFY is set.
