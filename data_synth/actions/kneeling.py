@@ -8,7 +8,7 @@ from data_synth.actions.gait import OTHER
 from data_synth.actions.standing import ease
 from data_synth.anatomy import RADIUS
 from data_synth.perform import KNEE, solve
-from data_synth.score import SIDES, SIGN, Score
+from data_synth.score import BOTH, SIDES, SIGN, Score
 from motionlab.skeleton import fk
 
 #: How far the heel is raised over toes that are tucked under, radians.
@@ -53,8 +53,7 @@ def kneel_down(score: Score) -> None:
     score.move(f"{back}_heel", TUCKED, t + 0.05, 0.85)
     score.pose(t + 0.05, 0.5 + 0.7 * down, x=x, y=y)
     score.pose(t, 0.65 + down, z=KNEE + s.length("left_knee") + s.hip_drop, pitch=0.10, flex=0.15)
-    for side in SIDES:
-        score.limb(side, t + 0.3, down, elbow=0.6, abduct=0.3, rotate=0.0, raised=0.35)
+    score.limb(BOTH, t + 0.3, down, elbow=0.6, abduct=0.3, rotate=0.0, raised=0.35)
     t += 0.65 + down
     score.move(f"{back}_kneel", 1.0, t - 0.8 * down, 0.8 * down)
     score.plant(back, t, "knee")
@@ -91,24 +90,21 @@ def to_belly(score: Score) -> None:
     s, v = score.subject, score.uniform
     t, span = score.now, v(0.9, 1.2) / s.tempo
     score.pose(t, span, **FOURS)
-    for side in SIDES:
-        score.limb(side, t, 0.8 * span, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
+    score.limb(BOTH, t, 0.8 * span, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
     _hands(score, t + 0.1 + 0.3 * span, 0.7 * span)
     t, span = t + 0.1 + span, v(1.1, 1.5) / s.tempo
     x, y = score.local(0.0, 0.96 * s.length("left_knee"))
     score.pose(t, span, x=x, y=y, z=0.14, pitch=math.pi / 2, flex=-0.05, steady=0.0, nod=-0.3)
     t += span
-    for side in SIDES:
-        score.release(side, t, "knee", "foot")
+    score.release(BOTH, t, "knee", "foot")
     score.move("settle", 1.0, t, 0.35)
     t += 0.25
-    for side in SIDES:
-        score.limb(side, t - 0.02, 0.02, hip_flex=0.03, knee=0.08, ankle=1.05, hip_abduct=0.06, hip_twist=0.0)
-        score.limb(side, t, 0.9, loose=1.0, kneel=0.0)
-        score.limb(side, t - 0.3, 0.7, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
-        score.release(side, t + 0.4, "wrist")
-        score.move(f"{side}_grip", 0.0, t + 0.4, 1.0)
-        score.limb(side, t + 1.2, 0.6, raised=-0.05)
+    score.limb(BOTH, t - 0.02, 0.02, hip_flex=0.03, knee=0.08, ankle=1.05, hip_abduct=0.06, hip_twist=0.0)
+    score.limb(BOTH, t, 0.9, loose=1.0, kneel=0.0)
+    score.limb(BOTH, t - 0.3, 0.7, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
+    score.release(BOTH, t + 0.4, "wrist")
+    score.limb(BOTH, t + 0.4, 1.0, grip=0.0)
+    score.limb(BOTH, t + 1.2, 0.6, raised=-0.05)
     score.now = t + 1.8
 
 
@@ -119,13 +115,12 @@ def from_belly(score: Score) -> None:
     for side in SIDES:
         x, y = score.local(SIGN[side] * HALF, -0.96 * knee - knee_ahead(score))
         score.limb(side, t - 0.02, 0.02, foot_x=x, foot_y=y, foot_yaw=score.value["heading"], heel=TUCKED)
-        score.limb(side, t, 0.9, loose=0.0, kneel=1.0)
-        score.plant(side, t + 1.25, "knee", "foot")
+    score.limb(BOTH, t, 0.9, loose=0.0, kneel=1.0)
+    score.plant(BOTH, t + 1.25, "knee", "foot")
     score.pose(t, 0.8, z=0.14)
     score.move("settle", 0.0, t + 0.9, 0.35)
-    for side in SIDES:
-        score.limb(side, t - 0.2, 0.5, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
-        score.limb(side, t + 1.1, 0.9, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
+    score.limb(BOTH, t - 0.2, 0.5, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
+    score.limb(BOTH, t + 1.1, 0.9, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
     was = dict(score.value)
     x, y = score.local(0.0, -0.96 * knee)
     up = {"x": x, "y": y, "z": KNEE + knee + s.hip_drop, **FOURS}
@@ -135,10 +130,9 @@ def from_belly(score: Score) -> None:
     t, span = t + 1.25, v(1.1, 1.5) / s.tempo
     score.pose(t, span, **up)
     t, span = t + span, v(0.8, 1.1) / s.tempo
-    for side in SIDES:
-        score.release(side, t, "wrist")
-        score.move(f"{side}_grip", 0.0, t, 0.6 * span)
-        score.limb(side, t + 0.2 * span, span, elbow=0.5, abduct=0.25, raised=0.3)
+    score.release(BOTH, t, "wrist")
+    score.limb(BOTH, t, 0.6 * span, grip=0.0)
+    score.limb(BOTH, t + 0.2 * span, span, elbow=0.5, abduct=0.25, raised=0.3)
     score.pose(t + 0.15 * span, span, pitch=0.08, flex=0.12, steady=0.8, nod=0.0)
     score.now = t + 1.2 * span
 

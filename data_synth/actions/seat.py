@@ -3,7 +3,7 @@
 import math
 
 from data_synth.actions.standing import ease
-from data_synth.score import SIDES, SIGN, Score
+from data_synth.score import BOTH, SIDES, SIGN, Score
 
 GRAVITY = 9.81
 
@@ -75,9 +75,9 @@ def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) ->
         for side in SIDES:
             score.limb(side, t, down, elbow=v(0.4, 1.2), abduct=v(0.1, 0.3), rotate=v(-0.3, 0.1), raised=v(0.7, 1.2))
             score.move(f"{side}_splay", v(0.1, 0.3), t, down)
-            if rise:
-                score.release(side, t + 0.25 * down, "ankle")
-                score.move(f"{side}_heel", rise, t + 0.25 * down, 0.75 * down)
+        if rise:
+            score.release(BOTH, t + 0.25 * down, "ankle")
+            score.limb(BOTH, t + 0.25 * down, 0.75 * down, heel=rise)
         if score.chance(0.6):  # pick something up
             side = score.choose(SIDES)
             low = t + down - 0.2
@@ -86,11 +86,10 @@ def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) ->
             score.limb(side, low + 0.6, 0.6, elbow=1.3, raised=0.8)
         score.now += down + seconds
         t = score.now
-        for side in SIDES:
-            score.move(f"{side}_splay", 0.0, t, up)
-            if rise:
-                score.move(f"{side}_heel", 0.0, t, 0.7 * up)
-                score.plant(side, t + 0.7 * up, "ankle")
+        score.limb(BOTH, t, up, splay=0.0)
+        if rise:
+            score.limb(BOTH, t, 0.7 * up, heel=0.0)
+            score.plant(BOTH, t + 0.7 * up, "ankle")
         ease(score, t, 1.1 * up)
         score.now += 1.15 * up
 

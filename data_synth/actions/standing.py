@@ -1,7 +1,7 @@
 """What people do with their arms, and one leg, while they stand: idle, reach, wave, punch, kick."""
 
 from data_synth.actions.gait import OTHER
-from data_synth.score import SIDES, SIGN, Score
+from data_synth.score import BOTH, SIDES, SIGN, Score
 
 
 def ease(score: Score, start: float, duration: float) -> None:
@@ -11,8 +11,7 @@ def ease(score: Score, start: float, duration: float) -> None:
         start, duration, z=s.standing, sway=0, surge=0, yaw=0, pitch=0.5 * s.lean, flex=0.5 * s.lean, tilt=0,
         bend=0, twist=0, nod=0, turn=0, cock=0, steady=1,
     )  # fmt: skip
-    for side in SIDES:
-        score.limb(side, start, duration, shrug=0, **score.arm_at_ease())
+    score.limb(BOTH, start, duration, shrug=0, **score.arm_at_ease())
 
 
 def lean_on(score: Score, side: str, start: float, duration: float, amount: float = 0.045) -> None:
@@ -198,8 +197,7 @@ def kick(score: Score, *, times: int = 1) -> None:
             sign, stance = SIGN[side], OTHER[side]
             start, high, wide = score.now, v(1.3, 1.8), v(0.0, 0.45)
             lean_on(score, stance, start, 0.5, 0.075)
-            for arm in SIDES:
-                score.limb(arm, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, raised=0.5)
+            score.limb(BOTH, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, raised=0.5)
             up = start + 0.45
             score.release(side, up - 0.15, "ankle")
             score.pulse(f"{side}_heel", 0.5, up - 0.15, 0.22, 0.3)
