@@ -13,10 +13,9 @@ SHAPES = {
 }  # fmt: skip
 
 
-def dance(score: Score, *, seconds: float = 6.0, tempo: float | None = None) -> None:
-    """Dance to ``tempo`` beats a minute (drawn if None): phrases of four beats, each phrase with its own moves."""
-    tempo = score.uniform(96, 128) if tempo is None else tempo
-    beat = 60 / tempo
+def dance(score: Score, *, seconds: float = 6.0) -> None:
+    """Dance to 96 to 128 beats a minute: phrases of four beats, each phrase with its own moves."""
+    beat = 60 / score.uniform(96, 128)
     begin = score.now
     with score.action("dance"):
         score.now += beat

@@ -7,7 +7,7 @@ from data_synth.actions.standing import ease
 from data_synth.score import BOTH, SIDES, SIGN, Score
 
 
-def floor(score: Score, *, seconds: float = 2.0, rolls: float | None = None, way: str | None = None) -> None:
+def floor(score: Score, *, rolls: float | None = None, way: str | None = None) -> None:
     """Lie down, roll about the long axis ``rolls`` times half a turn and back (drawn if None), get up.
 
     way (drawn if None): "kneel", over a knee, both knees and the hands to the belly and back; or "seat", over a
@@ -27,9 +27,9 @@ def floor(score: Score, *, seconds: float = 2.0, rolls: float | None = None, way
             _to_seat(score, 1.5 / s.tempo)
             _to_back(score, v(1.3, 1.8) / s.tempo)
     with score.action("lie"):
-        score.now += 0.5 * seconds
+        score.now += 1.0
         _roll(score, rolls, -1 if way == "kneel" else 1)
-        score.now += 0.5 * seconds
+        score.now += 1.0
     with score.action("get up"):
         if way == "kneel":
             from_belly(score)

@@ -17,7 +17,7 @@ class Gait:
     pelvis up and sideways (it sinks further where the step is long). yaw, twist, tilt: of the pelvis' and the
     trunk's rotations. swing, elbow: of the arms. drop: how much lower than standing. lean: forward lean of the
     trunk. limp: how much one leg is spared, the left one if positive: the trunk leans over it and sinks, and its foot
-    rolls less. give: weight of ``low``: no leg lands straight, the pelvis gives way before one does.
+    rolls less.
     """
 
     duty: float = 0.61
@@ -35,7 +35,6 @@ class Gait:
     drop: float = 0.022
     lean: float = 0.04
     limp: float = 0.0
-    give: float = 0.02
 
 
 def tread(
@@ -49,7 +48,7 @@ def tread(
     """
     swing_time = (1 - gait.duty) * 2 * step_time
     start = score.now + 0.30
-    score.move("low", gait.give, score.now, start + swing_time - score.now)
+    score.move("low", 0.02, score.now, start + swing_time - score.now)  # no leg lands straight
     _shift(score, first, gait, score.now, start + swing_time)
     side, strike = first, start + swing_time
     parity = 0.0 if first == "left" else 0.5
@@ -78,10 +77,9 @@ def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, la
     half = SIGN[side] * (gait.width if not last else 1.3 * gait.width) / 2
     x = centre[0] - half * math.cos(heading) + 0.035 * math.sin(heading)
     y = centre[1] - half * math.sin(heading) - 0.035 * math.cos(heading)
-    way = math.hypot(x - score.value[f"{side}_foot_x"], y - score.value[f"{side}_foot_y"])
-    ahead = -(x - score.value[f"{side}_foot_x"]) * math.sin(heading) + (y - score.value[f"{side}_foot_y"]) * math.cos(
-        heading
-    )
+    dx, dy = x - score.value[f"{side}_foot_x"], y - score.value[f"{side}_foot_y"]
+    way = math.hypot(dx, dy)
+    ahead = -dx * math.sin(heading) + dy * math.cos(heading)
     size = min(1.0, way / (0.9 * score.subject.leg))  # short steps roll less
     roll = size * (1 - 0.4 * max(0.0, SIGN[side] * gait.limp))
     forward = max(0.0, ahead) / way if way > 1e-6 else 0.0
@@ -110,9 +108,8 @@ def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, 
     score.move("yaw", -on * sign * gait.yaw * vary, strike - longer, longer)
     score.move("twist", on * sign * (gait.yaw + gait.twist) * vary, strike - longer, longer)
     score.move("tilt", on * sign * gait.tilt * vary, strike - 0.35 * step_time, 0.7 * step_time)
-    score.move(
-        "bend", -on * sign * (0.8 * gait.tilt + 0.25 * spared) * vary, strike - 0.35 * step_time, 0.7 * step_time
-    )
+    bend = -on * sign * (0.8 * gait.tilt + 0.25 * spared) * vary
+    score.move("bend", bend, strike - 0.35 * step_time, 0.7 * step_time)
     if last:
         score.pose(strike - 0.2, 0.7, pitch=0.5 * s.lean, flex=0.5 * s.lean)
     rest = s.carriage, s.elbow
