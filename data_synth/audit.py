@@ -5,13 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from data_synth.anatomy import RADIUS, excess, height_at_rest
-from data_synth.legs import HEEL
+from data_synth.anatomy import clearance, excess, height_at_rest
 from data_synth.perform import DOWN, LYING
 from motionlab.motion import Motion
 
-#: Length of the toes in front of the ball joint, metres.
-TOES = 0.06
 #: Half the depth of the trunk, how much more its half width is, and half of a forearm, metres.
 TRUNK, FLANK, ARM = 0.10, 0.04, 0.03
 
@@ -47,7 +44,7 @@ def audit(motion: Motion) -> Audit:
     return Audit(
         contact_speed=float(contact_speed(motion).max()),
         contact_height=float(contact_height(motion).max()),
-        penetration=float(penetration(motion).max().clamp(min=0)),
+        penetration=float(-clearance(motion.skeleton, *motion.world).min().clamp(max=0)),
         limit_excess=float(beyond[worst].max()),
         at=" ".join(worst),
         arm_depth=float(arm_depth(motion).max()),
@@ -80,24 +77,6 @@ def contact_height(motion: Motion) -> Tensor:
     loose = LYING * (height[..., pelvis : pelvis + 1] < DOWN).to(height).expand_as(height).clone()
     loose[..., pelvis] = 0.04
     return ((height - rest).abs() - loose).clamp(min=0) * motion.contacts
-
-
-def penetration(motion: Motion) -> Tensor:
-    """Metres (..., T, points) below the floor: heels, balls and toes, and the body around the other joints."""
-    skeleton = motion.skeleton
-    positions, orientations = motion.world
-    depth = []
-    for side in ("left", "right"):
-        ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
-        down = float(skeleton.offsets[..., ball, 1]) - skeleton.sole
-        heel = positions.new_tensor([0.0, down, -HEEL])
-        toe = positions.new_tensor([0.0, -skeleton.sole, TOES])
-        depth.append(-(positions[..., ankle, 2] + orientations[..., ankle, 2, :] @ heel))
-        depth.append(-(positions[..., ball, 2] + orientations[..., ball, 2, :] @ toe))
-        depth.append(skeleton.sole - positions[..., ball, 2])
-    for name, radius in RADIUS.items():
-        depth.append(radius - positions[..., skeleton.index(name), 2])
-    return torch.stack(depth, -1)
 
 
 def arm_depth(motion: Motion) -> Tensor:

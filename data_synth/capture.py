@@ -12,7 +12,8 @@ from torch import Tensor
 
 from data_synth.body import tree_distance
 from data_synth.occluders import Occluder
-from data_synth.sight import Shell, gap_to, shell
+from data_synth.score import uniform
+from data_synth.sight import gap_to, shell
 from motionlab.body import BodyModel, lbs
 from motionlab.errors import NotConverged, ShapeError
 from motionlab.motion import Motion, velocity
@@ -43,17 +44,14 @@ NEAR = 0.03  # metres at the person's depth: an error below this counts as a hit
 class Truth:
     """What only a judge may see. T frames, 25 keypoints of BODY_25.
 
-    points (T, 25, 3): metres, world. pixels (T, 25, 2): their true image.
-    visible (T, 25): in the image, with nothing in between. clear (T, 25): share of the keypoint's
-    surroundings that no occluder covers. self_hidden (T, 25): behind the person's own body.
-    sigma (T, 25): pixels, the noise per coordinate that was drawn. near (T,): pixels that NEAR is long.
+    pixels (T, 25, 2): their true image. visible (T, 25): in the image, with nothing in between. clear (T, 25): share of
+    the keypoint's surroundings that no occluder covers. sigma (T, 25): pixels, the noise per coordinate that was drawn.
+    near (T,): pixels that NEAR is long.
     """
 
-    points: Tensor
     pixels: Tensor
     visible: Tensor
     clear: Tensor
-    self_hidden: Tensor
     sigma: Tensor
     near: Tensor
 
@@ -129,7 +127,7 @@ def observe(
     seen = torch.where(detected[..., None], pixels + error, 0.0)
     observation = Observation2D(seen, torch.where(detected, confidence, 0.0), BODY_25, motion.fps, camera, motion.name)
     visible = inside & centre_free & ~self_hidden
-    return Capture(observation, Truth(points, pixels, visible, clear, self_hidden, sigma, near[:, 0]))
+    return Capture(observation, Truth(pixels, visible, clear, sigma, near[:, 0]))
 
 
 def frame_motion(
@@ -145,10 +143,7 @@ def frame_motion(
     Raises:
         NotConverged: no distance up to 200 m shows the whole motion.
     """
-    drawn = torch.rand(3, generator=generator, dtype=torch.float64).tolist()
-    side, eye_height, angle = (
-        low + u * (high - low) for u, (low, high) in zip(drawn, (azimuth, stand, (35.0, 60.0)), strict=True)
-    )
+    side, eye_height, angle = (uniform(generator, *ends) for ends in (azimuth, stand, (35.0, 60.0)))
     width, height = _IMAGE
     focal = width / 2 / math.tan(math.radians(angle) / 2)
     joints = motion.positions.reshape(-1, 3)
@@ -189,7 +184,7 @@ def _self_hidden(motion: Motion, body: BodyModel, points: Tensor, camera: Camera
     it, unless it enters the flesh of a joint at most two bones away less than 20 cm before it. A keypoint on
     the skin may lie 2 cm behind the entry.
     """
-    hull: Shell = shell(body)
+    hull = shell(body)
     vertices = lbs(body, motion.skeleton, motion.root, motion.rot, vertices=hull.vertices)
     gap, face = gap_to(vertices, hull.faces, camera.centre.to(points), points)
     is_joint = torch.tensor([name in JOINTS for name in BODY_25])

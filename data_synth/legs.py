@@ -1,19 +1,17 @@
 """Two-bone inverse kinematics in closed form, and the foot that rolls over heel and ball."""
 
+from functools import partial
+
 import torch
 from torch import Tensor
+from torch.nn import functional
 
+from data_synth.anatomy import HEEL
 from data_synth.curves import soft_clip
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import UPRIGHT
 
-#: How far the heel lies behind the ankle, metres.
-HEEL = 0.05
-
-
-def unit(x: Tensor) -> Tensor:
-    """x over its length along the last axis."""
-    return x / torch.linalg.vector_norm(x, dim=-1, keepdim=True)
+unit = partial(functional.normalize, dim=-1)  # x over its length
 
 
 def two_bone(

@@ -7,9 +7,9 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from data_synth.anatomy import RADIUS, height_at_rest
+from data_synth.anatomy import RADIUS, clearance, height_at_rest
 from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
-from data_synth.legs import HEEL, bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
+from data_synth.legs import bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
 from data_synth.score import CHANNELS, SIDED, SIDES, SIGN, Score
 from data_synth.subjects import Subject
 from motionlab.motion import Motion
@@ -260,20 +260,11 @@ def _settle(pelvis: Tensor, rot: Tensor, c: dict[str, Tensor], subject: Subject)
     if not weight.any():
         return pelvis
     skeleton = subject.skeleton.to(torch.float64)
-    positions, world = fk(skeleton, pelvis, rot)
-    heights = positions[..., 2]
-    radius = torch.tensor(list(RADIUS.values()), dtype=torch.float64)
-    held = {f"{side}_{part}": c[f"{side}_grip"] for side in SIDES for part in ("elbow", "wrist")}
-    clear = [heights[:, skeleton.indices(list(RADIUS))] - radius]
-    clear[0] = clear[0] + torch.stack([held.get(joint, torch.zeros_like(weight)) for joint in RADIUS], -1)
+    above = clearance(skeleton, *fk(skeleton, pelvis, rot))
     for side in SIDES:
-        ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
-        heel = torch.tensor([0.0, float(skeleton.offsets[ball, 1]) - skeleton.sole, -HEEL], dtype=torch.float64)
-        toes = torch.tensor([0.0, -skeleton.sole, 0.06], dtype=torch.float64)
-        points = heights[:, ankle] + world[:, ankle, 2] @ heel, heights[:, ball] + world[:, ball, 2] @ toes
-        clear.append(torch.stack((*points, heights[:, ball] - skeleton.sole), -1))
-    clearance = soft_min(torch.cat(clear, -1), 0.006)
-    return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * clearance)[:, None]), -1)
+        for part in ("elbow", "wrist"):
+            above[:, list(RADIUS).index(f"{side}_{part}")] += c[f"{side}_grip"]
+    return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * soft_min(above, 0.006))[:, None]), -1)
 
 
 # ----------------------------------------------------------------------------------------------- what is known of it
