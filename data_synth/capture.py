@@ -131,19 +131,19 @@ def observe(
 
 
 def frame_motion(
-    motion: Motion, generator: torch.Generator, *, azimuth: tuple[float, float] = (0.0, 360.0),
+    motion: Motion, generator: torch.Generator, *, around: float = 180.0, by: float = 180.0,
     stand: tuple[float, float] = (0.8, 2.2),
 ) -> Camera:  # fmt: skip
     """A plausible camera that keeps the person in view for the whole motion, from a random side.
 
-    Drawn: the direction in which it stands, from ``azimuth`` degrees about the world's z from +x; its height
-    from ``stand`` metres; its horizontal angle of view from 35 to 60 degrees. It looks at the middle of the
+    Drawn: the direction in which it stands, ``by`` degrees to both sides of ``around``, about the world's z from +x; the
+    height from ``stand`` metres; its horizontal angle of view from 35 to 60 degrees. It looks at the middle of the
     motion from as near as keeps 25 cm around every joint in the image.
 
     Raises:
         NotConverged: no distance up to 200 m shows the whole motion.
     """
-    side, eye_height, angle = (uniform(generator, *ends) for ends in (azimuth, stand, (35.0, 60.0)))
+    side, eye_height, angle = (uniform(generator, *ends) for ends in ((around - by, around + by), stand, (35.0, 60.0)))
     width, height = _IMAGE
     focal = width / 2 / math.tan(math.radians(angle) / 2)
     joints = motion.positions.reshape(-1, 3)

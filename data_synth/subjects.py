@@ -49,11 +49,6 @@ class Subject:
         return self.length("left_knee") + self.length("left_ankle")
 
     @property
-    def arm(self) -> float:
-        """Shoulder to wrist, metres."""
-        return self.length("left_elbow") + self.length("left_wrist")
-
-    @property
     def ankle(self) -> float:
         """Height of the ankle joint above the floor under a flat foot, metres."""
         return float(self.skeleton.sole - self.skeleton.offsets[self.skeleton.index("left_foot"), 1])
