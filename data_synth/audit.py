@@ -22,7 +22,7 @@ class Audit:
     penetration: metres below the floor, of heel, ball, toes, or the body's thickness around any other joint.
     limit_excess: degrees beyond the anatomical range; at: which joint and angle.
     arm_depth: metres by which an arm is inside the trunk.
-    acceleration: greatest of any joint, m/s^2; mean_acceleration: over joints and frames.
+    mean_acceleration: m/s^2, over joints and frames.
     """
 
     contact_speed: float
@@ -31,7 +31,6 @@ class Audit:
     limit_excess: float
     at: str
     arm_depth: float
-    acceleration: float
     mean_acceleration: float
 
 
@@ -40,7 +39,6 @@ def audit(motion: Motion) -> Audit:
     motion = motion.to(torch.float64)
     beyond = excess(motion.skeleton, motion.rot)
     worst = max(beyond, key=lambda key: float(beyond[key].max()))
-    a = acceleration(motion)
     return Audit(
         contact_speed=float(contact_speed(motion).max()),
         contact_height=float(contact_height(motion).max()),
@@ -48,8 +46,7 @@ def audit(motion: Motion) -> Audit:
         limit_excess=float(beyond[worst].max()),
         at=" ".join(worst),
         arm_depth=float(arm_depth(motion).max()),
-        acceleration=float(a.max()),
-        mean_acceleration=float(a.mean()),
+        mean_acceleration=float(acceleration(motion).mean()),
     )
 
 
@@ -90,9 +87,8 @@ def arm_depth(motion: Motion) -> Tensor:
     along = high - low
     points = []
     for side in ("left", "right"):
-        shoulder, elbow, wrist = (
-            p[..., motion.skeleton.index(f"{side}_{name}"), :] for name in ("shoulder", "elbow", "wrist")
-        )
+        arm = motion.skeleton.indices([f"{side}_{name}" for name in ("shoulder", "elbow", "wrist")])
+        shoulder, elbow, wrist = p[..., arm, :].unbind(-2)
         points += [shoulder + share * (elbow - shoulder) for share in (0.5, 0.6, 0.7, 0.8)]
         points += [elbow + share * (wrist - elbow) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     off = torch.stack(points, -2) - low[..., None, :]

@@ -15,7 +15,7 @@ from data_synth.occluders import Occluder
 from data_synth.score import uniform
 from data_synth.sight import gap_to, shell
 from motionlab.body import BodyModel, lbs
-from motionlab.errors import NotConverged, ShapeError
+from motionlab.errors import NotConverged
 from motionlab.motion import Motion, velocity
 from motionlab.observation import BODY_25, Camera, Observation2D, look_at, project
 
@@ -95,12 +95,7 @@ def observe(
     or by the own body and unlucky (it is found with probability ``clear`` and 0.7), or confidence < 0.05.
 
     occluders: they block the view. correlation: of the error from one frame to the next.
-
-    Raises:
-        ShapeError: batch axes.
     """
-    if motion.root.ndim != 2:
-        raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
     points = keypoints(motion, body)
     pixels, depth = project(camera, points)
     size = pixels.new_tensor([camera.width, camera.height])
@@ -136,7 +131,7 @@ def frame_motion(
 ) -> Camera:  # fmt: skip
     """A plausible camera that keeps the person in view for the whole motion, from a random side.
 
-    Drawn: the direction in which it stands, ``by`` degrees to both sides of ``around``, about the world's z from +x; the
+    Drawn: the direction in which it stands, ``by`` degrees to both sides of ``around`` about the world's z from +x; its
     height from ``stand`` metres; its horizontal angle of view from 35 to 60 degrees. It looks at the middle of the
     motion from as near as keeps 25 cm around every joint in the image.
 
@@ -150,8 +145,7 @@ def frame_motion(
     low, high = joints.amin(0), joints.amax(0)
     target = (low + high) / 2
     toward = torch.tensor([math.cos(math.radians(side)), math.sin(math.radians(side)), 0.0]).to(joints)
-    corners = 0.25 * torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]).to(joints)
-    cloud = (joints[:, None] + corners).reshape(-1, 3)
+    cloud = (joints[:, None] + torch.cartesian_prod(*3 * [joints.new_tensor([-0.25, 0.25])])).reshape(-1, 3)
     for distance in torch.logspace(0.0, 2.3, 120).tolist():
         eye = target + distance * toward
         eye[2] = eye_height

@@ -75,8 +75,7 @@ class Sequence:
 
 
 class Corpus(NamedTuple):
-    """All sequences, in order; of them, what a model may learn from, unseen sequences of subjects that were seen, and all
-    of the subject that was never seen."""
+    """All sequences; what a model may learn from; unseen sequences of known subjects; all of the unknown subject."""
 
     sequences: tuple[Sequence, ...]
     train: tuple[Sequence, ...]

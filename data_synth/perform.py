@@ -97,17 +97,16 @@ def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     nod = soft_clip(c["nod"] - steady * (c["pitch"] + c["flex"]), -0.9, 0.75, 0.25)
     turn = soft_clip(c["turn"] - steady * (c["yaw"] + c["twist"]), -1.1, 1.1, 0.3)
     cock = soft_clip(c["cock"] - steady * (c["tilt"] + c["bend"]), -0.6, 0.6, 0.2)
-    for joint in ("neck", "head"):
-        rot[:, name(joint)] = (
-            rotation_about("y", turn / 2) @ rotation_about("x", nod / 2) @ rotation_about("z", cock / 2)
-        )
+    half = rotation_about("y", turn / 2) @ rotation_about("x", nod / 2) @ rotation_about("z", cock / 2)
+    rot[:, skeleton.indices(["neck", "head"])] = half[:, None]
 
     sides = {side: c | {part: c[f"{side}_{part}"] for part in SIDED} for side in SIDES}
     feet = {side: _foot(subject, own, side) for side, own in sides.items()}
-    pelvis = _kneel(pelvis, pelvis_rot, feet, c, subject)
-    pelvis = _within_reach(pelvis, pelvis_rot, feet, c, subject)
+    hips = {side: (pelvis_rot @ skeleton.offsets[name(f"{side}_hip")][:, None])[..., 0] for side in SIDES}
+    pelvis = _kneel(pelvis, hips, feet, c, subject)
+    pelvis = _within_reach(pelvis, hips, feet, c, subject)
     for side, own in sides.items():
-        _leg(rot, pelvis, pelvis_rot, feet[side], own, side, subject)
+        _leg(rot, pelvis + hips[side], pelvis_rot, feet[side], own, side, subject)
         _arm_angles(rot, own, side, subject)
     rot[:, 0] = pelvis_rot
     pelvis = _settle(pelvis, rot, c, subject)
@@ -124,10 +123,6 @@ def _foot(subject: Subject, c: dict[str, Tensor], side: str) -> tuple[Tensor, Te
     return foot_pose(place, c["foot_yaw"], c["heel"], c["toe"], offset, subject.skeleton.sole)
 
 
-def _hip(subject: Subject, side: str) -> Tensor:
-    return subject.skeleton.offsets[subject.skeleton.index(f"{side}_hip")].to(torch.float64)
-
-
 def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -> Tensor:
     """Where the knee of a kneeling leg touches the floor, in front of its ankle."""
     ankle = foot[0]
@@ -137,7 +132,7 @@ def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -
     return torch.cat((ankle[:, :2] + ahead[:, None] * way, torch.full_like(ankle[:, :1], KNEE)), -1)
 
 
-def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
+def _kneel(pelvis: Tensor, hips: dict, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
     """Shift the pelvis as little as possible so that the thighs of planted knees keep their length. Least |shift|^2 +
     sum w / (1 - w) error^2, w the weight of ``kneel``: exact at 1, no effect at 0."""
     weight = {side: c[f"{side}_kneel"] for side in SIDES}
@@ -150,7 +145,7 @@ def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor],
     for _ in range(8):
         rows, residual = [], []
         for side in SIDES:
-            line = moved + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0] - knees[side]
+            line = moved + hips[side] - knees[side]
             length = torch.linalg.vector_norm(line, dim=-1)
             rows.append(line / length[:, None])
             residual.append(length - thigh)
@@ -161,14 +156,13 @@ def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor],
     return moved
 
 
-def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
+def _within_reach(pelvis: Tensor, hips: dict, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
     """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait). A foot in the air
     has leave to hang back, by 0.3 of its height."""
     longest = 0.9985 - 0.06 * c["low"]
     soft = 0.002 + 0.06 * c["low"]
     limits = [pelvis[:, 2]]
-    for side in SIDES:
-        hip = (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
+    for side, hip in hips.items():
         away = feet[side][0][:, :2] - (pelvis + hip)[:, :2]
         up = ((longest * subject.leg) ** 2 - away.square().sum(-1)).clamp(min=0.01).sqrt()
         free = 0.3 * c[f"{side}_lift"].clamp(min=0) + 3 * (c[f"{side}_loose"] + c[f"{side}_kneel"] + c["air"])
@@ -176,11 +170,10 @@ def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, T
     return torch.cat((pelvis[:, :2], soft_min(torch.stack(limits, -1), soft)[:, None]), -1)
 
 
-def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
+def _leg(rot, hip, pelvis_rot, foot, c, side, subject) -> None:
     name = subject.skeleton.index
     ankle, foot_rot = foot
     thigh, shin = subject.length("left_knee"), subject.length("left_ankle")
-    hip = pelvis + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
     left = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
     sign = SIGN[side]
     yaw_left = heading_rotation(c["foot_yaw"])[..., 0]

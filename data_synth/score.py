@@ -151,7 +151,7 @@ class Score:
 
     def step(
         self, side: str, to: tuple[float, float], yaw: float, lift: float, land: float, *,
-        height: float = 0.05, heel: float = 0.35, toe: float = 0.0, early: float = 0.15, late: float = 0.1,
+        height: float, heel: float, toe: float = 0.0, early: float, late: float = 0.1,
         shape: tuple[float, float, float] | None = None, rise: float = 0.45, fall: float = 0.55,
     ) -> None:  # fmt: skip
         """Move a foot from where it stands to another place.
@@ -172,10 +172,8 @@ class Score:
                 self.knots(channel, [(lift, start, 0.0, 0.0), middle, (land, value, 0.0, 0.0)])
         self.move(f"{side}_foot_yaw", yaw, lift, swing)
         self.pulse(f"{side}_lift", height, lift, rise * swing, fall * swing)
-        if heel:
-            self.pulse(f"{side}_heel", heel, lift - early, early + 0.2 * swing, 0.55 * swing)
-        if toe:
-            self.pulse(f"{side}_toe", toe, lift + 0.45 * swing, 0.5 * swing, 0.05 * swing + late)
-        self.release(side, lift - early if heel else lift, "ankle")
+        self.pulse(f"{side}_heel", heel, lift - early, early + 0.2 * swing, 0.55 * swing)
+        self.pulse(f"{side}_toe", toe, lift + 0.45 * swing, 0.5 * swing, 0.05 * swing + late)
+        self.release(side, lift - early, "ankle")
         self.release(side, lift, "foot")
         self.plant(side, land + late if toe else land, "ankle", "foot")

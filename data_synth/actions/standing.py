@@ -32,19 +32,17 @@ def restep(score: Score, side: str, forward: float, outward: float, start: float
 
 def idle(score: Score, *, seconds: float = 4.0) -> None:
     """Stand about: breathe, shift the weight, look around, fidget, now and then move a foot."""
-    begin, side = score.now, score.choose(SIDES)
+    begin, side, v = score.now, score.choose(SIDES), score.uniform
     with score.action("idle"):
         while score.now < begin + seconds - 0.8:
-            span = min(score.uniform(1.2, 2.6) / score.subject.tempo, begin + seconds - score.now)
-            lean_on(score, side, score.now, 0.8 * span, score.uniform(0.01, 0.055))
+            span = min(v(1.2, 2.6) / score.subject.tempo, begin + seconds - score.now)
+            lean_on(score, side, score.now, 0.8 * span, v(0.01, 0.055))
             if score.chance(0.6):
-                score.pose(score.now, 0.7, turn=score.uniform(-0.8, 0.8), nod=score.uniform(-0.15, 0.3))
+                score.pose(score.now, 0.7, turn=v(-0.8, 0.8), nod=v(-0.15, 0.3))
             if score.chance(0.5):
                 _fidget(score, score.choose(SIDES), score.now + 0.2, 0.9)
             if score.chance(0.25):
-                restep(
-                    score, OTHER[side], score.uniform(-0.06, 0.08), score.uniform(-0.01, 0.06), score.now + 0.6 * span
-                )
+                restep(score, OTHER[side], v(-0.06, 0.08), v(-0.01, 0.06), score.now + 0.6 * span)
             side = OTHER[side] if score.chance(0.7) else side
             score.now += span
         ease(score, score.now, 0.8)
@@ -114,11 +112,9 @@ def guard(score: Score, lead: str, start: float, duration: float) -> None:
     z = score.subject.standing - 0.055 * score.subject.leg / 0.9
     score.pose(start, duration, surge=-0.165, z=z, pitch=0.10, flex=0.18, steady=0.9)
     score.pose(start, duration, yaw=SIGN[back] * 0.30, twist=SIGN[back] * 0.05)
-    for side in SIDES:
-        ahead = 0.15 if side == lead else 0.0
-        score.limb(
-            side, start, duration, abduct=0.22, rotate=-0.25, elbow=2.05 - ahead, pronate=0.3, raised=0.75 + ahead
-        )
+    score.limb(BOTH, start, duration, abduct=0.22, rotate=-0.25, pronate=0.3)
+    for side, ahead in ((lead, 0.15), (back, 0.0)):
+        score.limb(side, start, duration, elbow=2.05 - ahead, raised=0.75 + ahead)
 
 
 def unguard(score: Score, lead: str) -> None:
