@@ -64,10 +64,8 @@ class Scene:
 
     def clip(self, index: int) -> Observation2D:
         """One clip's observation with its camera."""
-        o = self.observation
-        return replace(
-            o, keypoints=o.keypoints[index], confidence=o.confidence[index], camera=self.cameras[index], name=self.name
-        )
+        o, camera = self.observation, self.cameras[index]
+        return replace(o, keypoints=o.keypoints[index], confidence=o.confidence[index], camera=camera, name=self.name)
 
 
 def person(index: int, generator: torch.Generator) -> Subject:
@@ -151,9 +149,8 @@ def gap_frames(place: str, length: int, frames: int = 60) -> list[int]:
 def held_out(count: int, *, seed: int = 0, frames: int = 60) -> Motion:
     """``count`` clips (B, T) of everyday motion by people that the corpus does not know, for fits in 3-D."""
     actions = ("walk", "reach", "sit", "turn", "wave", "crouch", "walk", "dance")
-    return together(
-        [_window(actions[i % len(actions)], i, _generator(seed, "held out", i), frames) for i in range(count)]
-    )
+    draws = [_generator(seed, "held out", i) for i in range(count)]
+    return together([_window(actions[i % len(actions)], i, draw, frames) for i, draw in enumerate(draws)])
 
 
 def together(motions: Sequence[Motion]) -> Motion:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from data_synth.score import SIGN, Score
+from data_synth.score import BOTH, SIGN, Score
 
 OTHER = {"left": "right", "right": "left"}
 
@@ -56,8 +56,7 @@ def tread(
     for k, ((x, y), heading) in enumerate(zip(centres, headings, strict=True)):
         last = k == len(centres) - 1
         lift = strike - swing_time
-        for channel, to in (("x", x), ("y", y), ("heading", heading)):
-            score.move(channel, to, strike - step_time, 2 * step_time)
+        score.pose(strike - step_time, 2 * step_time, x=x, y=y, heading=heading)
         _footfall(score, side, (x, y), heading, lift, strike, gait, step_time, last=last)
         _body(score, side, strike, step_time, gait, math.dist(was, (x, y)), last=last)
         score.gait.append((strike, parity + 0.5 * k))
@@ -105,18 +104,14 @@ def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, 
     score.move("z", low, strike - 0.50 * step_time, 0.5 * step_time)
     score.move("z", high if not last else s.standing, strike + 0.03 * step_time, 0.5 * step_time * (1 + last))
     score.move("sway", on * sign * (gait.sway + 0.04 * spared) * vary, middle - longer, longer)
-    score.move("yaw", -on * sign * gait.yaw * vary, strike - longer, longer)
-    score.move("twist", on * sign * (gait.yaw + gait.twist) * vary, strike - longer, longer)
-    score.move("tilt", on * sign * gait.tilt * vary, strike - 0.35 * step_time, 0.7 * step_time)
-    bend = -on * sign * (0.8 * gait.tilt + 0.25 * spared) * vary
-    score.move("bend", bend, strike - 0.35 * step_time, 0.7 * step_time)
+    yaw, twist = -on * sign * gait.yaw * vary, on * sign * (gait.yaw + gait.twist) * vary
+    score.pose(strike - longer, longer, yaw=yaw, twist=twist)
+    tilt, bend = on * sign * gait.tilt * vary, -on * sign * (0.8 * gait.tilt + 0.25 * spared) * vary
+    score.pose(strike - 0.35 * step_time, 0.7 * step_time, tilt=tilt, bend=bend)
     if last:
         score.pose(strike - 0.2, 0.7, pitch=0.5 * s.lean, flex=0.5 * s.lean)
-    rest = s.carriage, s.elbow
-    for arm in (side, OTHER[side]):
-        swing = on * gait.swing * (1.0 if arm == OTHER[side] else -0.9) * vary
-        bend = rest[1] + on * (gait.elbow if arm == OTHER[side] else 0.25 * gait.elbow)
-        lag = 0.04 * step_time
-        score.move(f"{arm}_raised", 0.05 + swing, strike - longer + lag, longer)
-        score.move(f"{arm}_elbow", bend, strike - longer + 3 * lag, longer)
-        score.move(f"{arm}_abduct", rest[0] - on * 0.02, strike - longer, longer)
+    lag = 0.04 * step_time
+    for arm, size, bent in ((side, -0.9, 0.25), (OTHER[side], 1.0, 1.0)):
+        score.limb(arm, strike - longer + lag, longer, raised=0.05 + on * gait.swing * size * vary)
+        score.limb(arm, strike - longer + 3 * lag, longer, elbow=s.elbow + on * (bent * gait.elbow))
+    score.limb(BOTH, strike - longer, longer, abduct=s.carriage - on * 0.02)

@@ -6,7 +6,7 @@ from itertools import accumulate
 
 from data_synth.actions.gait import OTHER, Gait, tread
 from data_synth.actions.standing import ease
-from data_synth.score import SIDES, SIGN, Score
+from data_synth.score import BOTH, SIDES, SIGN, Score
 
 GRAVITY = 9.81
 
@@ -169,8 +169,7 @@ def _run_step(score, side, strike, stance, flight, place, heading, way) -> None:
     s, sign = score.subject, SIGN[side]
     step_time = stance + flight
     middle = strike + stance / 2
-    for channel, to in (("x", place[0]), ("y", place[1]), ("heading", heading)):
-        score.move(channel, to, middle - 2.0 * step_time, 3 * step_time)
+    score.pose(middle - 2.0 * step_time, 3 * step_time, x=place[0], y=place[1], heading=heading)
     half, ahead = sign * 0.3 * s.step_width, -0.035 + 0.04
     x = place[0] - half * math.cos(heading) - ahead * math.sin(heading)
     y = place[1] - half * math.sin(heading) + ahead * math.cos(heading)
@@ -181,16 +180,12 @@ def _run_step(score, side, strike, stance, flight, place, heading, way) -> None:
         side, (x, y), heading + sign * 0.5 * s.toe_out, lift, strike, height=0.10 + 0.10 * way, heel=0.95 + 0.3 * way,
         toe=0.10, early=0.75 * stance, late=0.05, shape=(0.55, 0.50, 1.55),
     )  # fmt: skip
-    score.move("sway", sign * 0.012, middle - step_time, step_time)
-    score.move("yaw", -sign * 0.13 * s.twist, middle - 1.1 * step_time, 1.1 * step_time)
-    score.move("twist", sign * 0.32 * s.twist, middle - 1.1 * step_time, 1.1 * step_time)
-    score.move("tilt", sign * 0.05, middle - step_time, step_time)
-    score.move("bend", -sign * 0.04, middle - step_time, step_time)
+    score.pose(middle - step_time, step_time, sway=sign * 0.012, tilt=sign * 0.05, bend=-sign * 0.04)
+    yaw, twist = -sign * 0.13 * s.twist, sign * 0.32 * s.twist
+    score.pose(middle - 1.1 * step_time, 1.1 * step_time, yaw=yaw, twist=twist)
     score.pose(middle - 2 * step_time, 2 * step_time, pitch=0.07 + 0.06 * way, flex=0.10 + 0.04 * way)
     for arm in SIDES:
         out = 1 if arm == OTHER[side] else -1
         swung = 0.05 + out * (0.62 if out > 0 else 0.68) * s.arm_swing**0.5 * (0.4 + 0.6 * way)
-        score.limb(
-            arm, middle - 1.1 * step_time, 1.1 * step_time, elbow=1.5 + 0.40 * out, abduct=0.28, rotate=-0.25,
-            raised=swung,
-        )  # fmt: skip
+        score.limb(arm, middle - 1.1 * step_time, 1.1 * step_time, elbow=1.5 + 0.40 * out, raised=swung)
+    score.limb(BOTH, middle - 1.1 * step_time, 1.1 * step_time, abduct=0.28, rotate=-0.25)
