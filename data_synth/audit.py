@@ -35,45 +35,31 @@ class Audit:
 
 
 def audit(motion: Motion) -> Audit:
-    """Measure a motion on a skeleton with the standard joint names; without contacts the contact figures are 0."""
+    """Measure a motion on a skeleton with the standard joint names; without contacts the contact figures are 0.
+
+    At rest, feet and ankles are at the height of the flat foot, knees and wrists at their thickness, the pelvis (on
+    back, belly or side) anywhere within 4 cm of its; while it is lower than DOWN, the others within LYING of theirs.
+    """
     motion = motion.to(torch.float64)
-    beyond = excess(motion.skeleton, motion.rot)
+    skeleton, points = motion.skeleton, motion.positions[..., motion.skeleton.contact_indices, :]
+    height = points[..., 2]
+    on = torch.zeros_like(height) if motion.contacts is None else motion.contacts
+    speed = points.diff(dim=-3).norm(dim=-1) * (on[..., 1:, :] * on[..., :-1, :])
+    rest = torch.tensor([height_at_rest(skeleton, name) for name in skeleton.contact_names]).to(height)
+    pelvis = skeleton.contact_names.index("pelvis")
+    loose = LYING * (height[..., pelvis : pelvis + 1] < DOWN).to(height).expand_as(height).clone()
+    loose[..., pelvis] = 0.04
+    beyond = excess(skeleton, motion.rot)
     worst = max(beyond, key=lambda key: float(beyond[key].max()))
     return Audit(
-        contact_speed=float(contact_speed(motion).max()),
-        contact_height=float(contact_height(motion).max()),
-        penetration=float(-clearance(motion.skeleton, *motion.world).min().clamp(max=0)),
+        contact_speed=float(speed.max()),
+        contact_height=float((((height - rest).abs() - loose).clamp(min=0) * on).max()),
+        penetration=float(-clearance(skeleton, *motion.world).min().clamp(max=0)),
         limit_excess=float(beyond[worst].max()),
         at=" ".join(worst),
         arm_depth=float(arm_depth(motion).max()),
         mean_acceleration=float(acceleration(motion).mean()),
     )
-
-
-def contact_speed(motion: Motion) -> Tensor:
-    """Metres per frame (..., T-1, C) of the contact joints between frames in which their contact is on, else 0."""
-    positions = motion.positions[..., motion.skeleton.contact_indices, :]
-    if motion.contacts is None:
-        return torch.zeros_like(positions[..., 1:, :, 0])
-    on = motion.contacts[..., 1:, :] * motion.contacts[..., :-1, :]
-    return positions.diff(dim=-3).norm(dim=-1) * on
-
-
-def contact_height(motion: Motion) -> Tensor:
-    """Metres (..., T, C) between a contact joint that is on and its height at rest, else 0.
-
-    Feet and ankles rest at the height of the flat foot, knees and wrists at their thickness, the pelvis (on
-    back, belly or side) anywhere within 4 cm of its; while it is lower than DOWN, the others within LYING of theirs.
-    """
-    skeleton = motion.skeleton
-    height = motion.positions[..., skeleton.contact_indices, 2]
-    if motion.contacts is None:
-        return torch.zeros_like(height)
-    rest = torch.tensor([height_at_rest(skeleton, name) for name in skeleton.contact_names]).to(height)
-    pelvis = skeleton.contact_names.index("pelvis")
-    loose = LYING * (height[..., pelvis : pelvis + 1] < DOWN).to(height).expand_as(height).clone()
-    loose[..., pelvis] = 0.04
-    return ((height - rest).abs() - loose).clamp(min=0) * motion.contacts
 
 
 def arm_depth(motion: Motion) -> Tensor:

@@ -21,11 +21,8 @@ from motionlab.observation import BODY_25, Camera, Observation2D, look_at, proje
 
 #: The joint of the 22 that each keypoint shows; the other eleven are vertices of the body.
 #: Source: the mapping that HuMoR and SMPLify use. Differs: OpenPose's own neck lies midway between the shoulders.
-JOINTS = {"neck": "neck", "mid_hip": "pelvis"} | {
-    f"{side}_{part}": f"{side}_{part}"
-    for side in ("left", "right")
-    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-}
+JOINTS = {name: name for name in BODY_25 if name.endswith(("shoulder", "elbow", "wrist", "hip", "knee", "ankle"))}
+JOINTS |= {"neck": "neck", "mid_hip": "pelvis"}
 #: Spread of human annotators by keypoint, as a share of the person's size: how hard a keypoint is to place.
 #: Source: COCO keypoint evaluation (17 keypoints), COCO-WholeBody (feet); neck and mid hip as shoulder and hip.
 DIFFICULTY = {

@@ -101,7 +101,8 @@ def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     rot[:, skeleton.indices(["neck", "head"])] = half[:, None]
 
     sides = {side: c | {part: c[f"{side}_{part}"] for part in SIDED} for side in SIDES}
-    feet = {side: _foot(subject, own, side) for side, own in sides.items()}
+    offsets = {side: skeleton.offsets[name(f"{side}_foot")] for side in SIDES}
+    feet = {side: foot_pose(own, offsets[side], skeleton.sole) for side, own in sides.items()}
     hips = {side: (pelvis_rot @ skeleton.offsets[name(f"{side}_hip")][:, None])[..., 0] for side in SIDES}
     pelvis = _kneel(pelvis, hips, feet, c, subject)
     pelvis = _within_reach(pelvis, hips, feet, c, subject)
@@ -115,12 +116,6 @@ def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         for side, own in sides.items():
             _arm_reach(rot, positions, orientations, own, side, subject)
     return pelvis, rot
-
-
-def _foot(subject: Subject, c: dict[str, Tensor], side: str) -> tuple[Tensor, Tensor]:
-    offset = subject.skeleton.offsets[subject.skeleton.index(f"{side}_foot")].to(torch.float64)
-    place = torch.stack([c[part] for part in ("foot_x", "foot_y", "lift")], -1)
-    return foot_pose(place, c["foot_yaw"], c["heel"], c["toe"], offset, subject.skeleton.sole)
 
 
 def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -> Tensor:

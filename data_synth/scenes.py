@@ -1,10 +1,6 @@
 """The lab videos of the thesis as scenes with truth: two seconds of somebody, a camera, what stands in the way, what
 the detector says, and what it gets wrong.
 
->>> scene = film("sitting, legs hidden", count=8)  # doctest: +SKIP
->>> scene.observation, scene.cameras  # what a fit may see  # doctest: +SKIP
->>> scene.truth, scene.seen  # what only a judge may see  # doctest: +SKIP
-
 Nobody in them is in the training corpus: the subject that it holds out, and people drawn here.
 Source: thesis 3.2 ("a variety of motion; fast, slow, abnormal, and with occlusions"), Figs. 3.2, 3.3 and 3.5.
 """
@@ -29,14 +25,10 @@ from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 
 #: The keypoints that show each of the 22 joints; a joint is seen where one of them is detected.
-SHOWN_BY = {
-    "pelvis": ("mid_hip",), "spine1": ("mid_hip", "neck"), "spine2": ("mid_hip", "neck"), "spine3": ("neck",),
-    "neck": ("neck",), "head": ("nose", "left_ear", "right_ear"),
-} | {
-    f"{side}_{joint}": (f"{side}_{point}",)
-    for side in ("left", "right")
-    for joint, point in (("hip", "hip"), ("knee", "knee"), ("ankle", "ankle"), ("foot", "big_toe"),
-                         ("collar", "shoulder"), ("shoulder", "shoulder"), ("elbow", "elbow"), ("wrist", "wrist"))
+SHOWN_BY = {joint: (point,) for point, joint in capture.JOINTS.items()} | {
+    "spine1": ("mid_hip", "neck"), "spine2": ("mid_hip", "neck"), "spine3": ("neck",),
+    "head": ("nose", "left_ear", "right_ear"), "left_collar": ("left_shoulder",), "right_collar": ("right_shoulder",),
+    "left_foot": ("left_big_toe",), "right_foot": ("right_big_toe",),
 }  # fmt: skip
 
 

@@ -1,6 +1,5 @@
 """Capture: lines of sight against a slow twin, scenes with a known answer, and confidence that keeps its word."""
 
-
 import numpy as np
 import pytest
 import torch
@@ -102,7 +101,7 @@ def test_scenes_hide_what_they_say(body):
 def table(y):
     """Open below: no desk."""
     legs = [((sx * 0.75, sy * 0.35, 0.355), (0.06, 0.06, 0.71)) for sx in (-1, 1) for sy in (-1, 1)]
-    return occluders._boxes("table", [((0, 0, 0.73), (1.6, 0.8, 0.04)), *legs], 0.0, y, 0.0)
+    return occluders._boxes([((0, 0, 0.73), (1.6, 0.8, 0.04)), *legs], 0.0, y, 0.0)
 
 
 def test_outside_the_image_is_undetected(body):
