@@ -22,7 +22,6 @@ from data_synth.perform import Take
 from data_synth.score import Score
 from data_synth.subjects import SUBJECTS, Subject
 from motionlab import checkpoint
-from motionlab.errors import ShapeError
 from motionlab.files import source_hash
 from motionlab.motion import Motion, fix_root_horizontally
 
@@ -88,13 +87,8 @@ def build(version: str = "B", *, recipe: Recipe | None = None, progress: bool = 
 
     The cache lies in $MOTIONLAB_CACHE or ~/.cache/motionlab, one file per recipe and state of the code. A
     damaged file is made anew.
-
-    Raises:
-        ShapeError: the version is neither "A" nor "B".
     """
     recipe = recipe or Recipe(version=version)
-    if recipe.version not in ("A", "B"):
-        raise ShapeError(f'version: expected "A" or "B", got {recipe.version!r}')
     path = cache_path(recipe)
     takes = _kept(path, recipe)
     if takes is None:

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from motionlab.errors import check_shape
 from motionlab.observation import Observation2D
 
 #: The keypoints of a leg below the hip, without their side.
@@ -27,7 +26,6 @@ Spoilt = tuple[Observation2D, Tensor]  # and the mask of what changed
 
 def occlude_below(observation: Observation2D, points: Tensor, height: float = 0.9) -> Spoilt:
     """Hide every keypoint whose true place, ``points`` (..., T, K, 3) in metres, lies below ``height`` metres."""
-    check_shape(points, f"... T {len(observation.names)} 3", "points")
     return _hide(observation, points[..., 2] < height)
 
 

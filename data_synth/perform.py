@@ -286,11 +286,9 @@ def _course(score: Score, t: Tensor) -> tuple[tuple[str, ...], Tensor]:
     """Label and phase of every frame; the innermost action that covers a frame names it."""
     labels, phase = ["idle"] * len(t), torch.zeros(len(t))
     for start, stop, label in sorted(score.labels, key=lambda mark: mark[0] - mark[1]):
-        inside = ((t >= start - 1e-9) & (t < stop - 1e-9)).nonzero()[:, 0].tolist()
-        for i in inside:
-            labels[i] = label
-        if inside:
-            phase[inside] = ((t[inside] - start) / (stop - start)).clamp(0, 0.9999).float()
+        inside = (t >= start - 1e-9) & (t < stop - 1e-9)
+        labels = [label if here else was for here, was in zip(inside.tolist(), labels, strict=True)]
+        phase[inside] = ((t[inside] - start) / (stop - start)).clamp(0, 0.9999).float()
     for (start, cycle), (stop, after) in pairwise(sorted(score.gait)):
         if after > cycle:
             inside = (t >= start) & (t < stop)

@@ -65,11 +65,7 @@ class Subject:
 
 
 def proportioned(scale: float = 1.0, **segments: float) -> Skeleton:
-    """STANDARD times ``scale``, each named segment of SEGMENTS times its own factor as well.
-
-    Raises:
-        KeyError: no such segment.
-    """
+    """STANDARD times ``scale``, each named segment of SEGMENTS times its own factor as well."""
     factor = torch.full((len(STANDARD), 1), scale)
     for segment, value in segments.items():
         factor[STANDARD.indices(list(SEGMENTS[segment]))] *= value

@@ -46,11 +46,13 @@ def tread(
     before, so that the feet close. The pelvis goes from place to place with overlapping minimum-jerk moves,
     each centred at its heel strike: fastest in double support, as people are.
     """
-    swing_time = (1 - gait.duty) * 2 * step_time
-    start = score.now + 0.30
-    score.move("low", 0.02, score.now, start + swing_time - score.now)  # no leg lands straight
-    _shift(score, first, gait, score.now, start + swing_time)
-    side, strike = first, start + swing_time
+    swing_time, begin = (1 - gait.duty) * 2 * step_time, score.now
+    side, strike = first, begin + 0.30 + swing_time
+    score.move("low", 0.02, begin, strike - begin)  # no leg lands straight
+    # lean over the foot that stays, and sink a little, before the first step
+    score.move("sway", -SIGN[first] * 1.6 * gait.sway, begin, 0.9 * (strike - begin))
+    score.move("z", score.subject.standing - gait.drop, begin, strike - begin)
+    score.pose(begin, 0.6, pitch=0.5 * gait.lean, flex=0.5 * gait.lean)
     parity = 0.0 if first == "left" else 0.5
     was = score.value["x"], score.value["y"]
     for k, ((x, y), heading) in enumerate(zip(centres, headings, strict=True)):
@@ -63,13 +65,6 @@ def tread(
         side, strike, was = OTHER[side], strike + step_time, (x, y)
     score.move("low", 0.0, strike, 0.6)
     score.now = strike + 0.25
-
-
-def _shift(score: Score, first: str, gait: Gait, start: float, strike: float) -> None:
-    """Lean over the foot that stays, and sink a little, before the first step."""
-    score.move("sway", -SIGN[first] * 1.6 * gait.sway, start, 0.9 * (strike - start))
-    score.move("z", score.subject.standing - gait.drop, start, strike - start)
-    score.pose(start, 0.6, pitch=0.5 * gait.lean, flex=0.5 * gait.lean)
 
 
 def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, last) -> None:

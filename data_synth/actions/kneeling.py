@@ -58,18 +58,14 @@ def kneel_down(score: Score) -> None:
     score.move(f"{back}_kneel", 1.0, t - 0.8 * down, 0.8 * down)
     score.plant(back, t, "knee")
     score.move("low", 0.0, t, 0.5)
-    _second_knee(score, front, score.local(SIGN[front] * HALF, -knee_ahead(score)), t + 0.1)
-
-
-def _second_knee(score: Score, side: str, place: tuple[float, float], t: float) -> None:
-    """The foot in front goes behind, on its ball, as the knee comes down."""
-    span = score.uniform(0.9, 1.2) / score.subject.tempo
-    score.release(side, t, "ankle", "foot")
-    score.limb(side, t, span, foot_x=place[0], foot_y=place[1])
-    score.move(f"{side}_heel", TUCKED, t + 0.3 * span, 0.65 * span)
-    score.pulse(f"{side}_lift", 0.11, t, 0.45 * span, 0.55 * span)
-    score.move(f"{side}_kneel", 1.0, t + 0.25 * span, 0.5 * span)
-    score.plant(side, t + span, "foot", "knee")
+    x, y = score.local(SIGN[front] * HALF, -knee_ahead(score))  # the foot in front goes behind, on its ball
+    t, span = t + 0.1, v(0.9, 1.2) / s.tempo
+    score.release(front, t, "ankle", "foot")
+    score.limb(front, t, span, foot_x=x, foot_y=y)
+    score.limb(front, t + 0.3 * span, 0.65 * span, heel=TUCKED)
+    score.pulse(f"{front}_lift", 0.11, t, 0.45 * span, 0.55 * span)
+    score.limb(front, t + 0.25 * span, 0.5 * span, kneel=1.0)
+    score.plant(front, t + span, "foot", "knee")
     score.now = t + span
 
 

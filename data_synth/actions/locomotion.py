@@ -46,7 +46,9 @@ def walk(
         steps = max(2, round((seconds - 0.55) / step_time) - 1)
         first = score.choose(SIDES)
         if manner == "sideways":
-            centres, headings = _sidesteps(score, SIGN[first] * 0.45 * length, steps)
+            way = SIGN[first] * 0.45 * length  # to that side, and the other foot beside it
+            centres = [score.local(way * (k // 2 + 1), 0.0) for k in range(2 * max(1, steps // 2))]
+            headings = [score.value["heading"]] * len(centres)
         else:
             centres, headings = _path(score, length * (-0.55 if manner == "backwards" else 1.0), turn, steps)
         tread(score, centres, headings, step_time, gait, first)
@@ -92,12 +94,6 @@ def _along(score: Score, ways: list[float], headings: list[float]) -> list[tuple
         x, y, heading = x - way * math.sin(middle), y + way * math.cos(middle), new
         places.append((x, y))
     return places
-
-
-def _sidesteps(score: Score, way: float, steps: int) -> tuple[list[tuple[float, float]], list[float]]:
-    """Step to the left by ``way`` metres, or right if negative, bring the other foot, and so on."""
-    centres = [score.local(way * (k // 2 + 1), 0.0) for k in range(2 * max(1, steps // 2))]
-    return centres, [score.value["heading"]] * len(centres)
 
 
 def turn(score: Score, *, angle: float | None = None) -> None:

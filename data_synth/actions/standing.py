@@ -117,13 +117,6 @@ def guard(score: Score, lead: str, start: float, duration: float) -> None:
         score.limb(side, start, duration, elbow=2.05 - ahead, raised=0.75 + ahead)
 
 
-def unguard(score: Score, lead: str) -> None:
-    """Back from the stance: the foot steps up to the other one."""
-    restep(score, OTHER[lead], 0.0, 0.0, score.now + 0.25, 0.42)
-    ease(score, score.now, 0.85)
-    score.now += 0.95
-
-
 def bounce(score: Score, start: float, stop: float) -> None:
     """Spring in the knees two to three times a second, the weight going from one leg to the other."""
     side = score.choose((-1, 1))
@@ -175,7 +168,9 @@ def punch(score: Score) -> None:
             side = OTHER[side] if score.chance(0.65) else side
         bounce(score, begin, score.now)
         score.now += 0.15
-        unguard(score, lead)
+        restep(score, OTHER[lead], 0.0, 0.0, score.now + 0.25, 0.42)
+        ease(score, score.now, 0.85)
+        score.now += 0.95
 
 
 def kick(score: Score) -> None:
