@@ -229,12 +229,10 @@ def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
     target = target + 0.2 * grip * (1 - grip) * target.new_tensor([0.0, 0.0, 1.0])  # it comes from above
     swing = orientations[:, name(f"{side}_shoulder"), :, 1]
     ease = (0.02 * grip + 0.4 * grip * (1 - grip))[:, 0]  # on the way no elbow snaps straight
-    upper, lower, axis, _ = two_bone(
-        shoulder, target, -sign * swing, subject.length("left_elbow"), subject.length("left_wrist"), ease
-    )
-    hinge = -sign * axis
-    upper_rot = torch.stack((sign * upper, hinge, torch.linalg.cross(sign * upper, hinge, dim=-1)), -1)
-    lower_rot = torch.stack((sign * lower, hinge, torch.linalg.cross(sign * lower, hinge, dim=-1)), -1)
+    lengths = subject.length("left_elbow"), subject.length("left_wrist")
+    *bones, axis, _ = two_bone(shoulder, target, -sign * swing, *lengths, ease)
+    frames = ((sign * bone, -sign * axis, torch.linalg.cross(sign * bone, -sign * axis, dim=-1)) for bone in bones)
+    upper_rot, lower_rot = (torch.stack(frame, -1) for frame in frames)
     used = (grip > 0)[..., None]
     at, elbow = name(f"{side}_shoulder"), name(f"{side}_elbow")
     rot[:, at] = torch.where(used, orientations[:, name(f"{side}_collar")].mT @ upper_rot, rot[:, at])

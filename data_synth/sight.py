@@ -65,11 +65,9 @@ def _gap(vertices: np.ndarray, faces: np.ndarray, eye: np.ndarray, targets: np.n
     cell = np.ptp(everything, axis=0).max() + 1.0
     side = int(np.ceil(frames ** (1 / 3)))
     shift = cell * np.stack(np.unravel_index(np.arange(frames), (side,) * 3), -1)  # (T, 3)
-    mesh = trimesh.Trimesh(
-        (vertices + shift[:, None]).reshape(-1, 3),
-        (faces + vertices.shape[1] * np.arange(frames)[:, None, None]).reshape(-1, 3),
-        process=False,
-    )
+    places = (vertices + shift[:, None]).reshape(-1, 3)
+    triangles = (faces + vertices.shape[1] * np.arange(frames)[:, None, None]).reshape(-1, 3)
+    mesh = trimesh.Trimesh(places, triangles, process=False)
     origins = np.broadcast_to((eye + shift)[:, None], targets.shape).reshape(-1, 3)
     rays = (targets - eye).reshape(-1, 3)
     reach = np.linalg.norm(rays, axis=1)

@@ -48,9 +48,8 @@ def _groove(score: Score, at: float, beat: float, k: int) -> None:
     dip = v(0.035, 0.075) * s.bounce
     score.move("z", s.standing - 0.025 - dip, at - 0.45 * beat, 0.5 * beat)
     score.move("z", s.standing - 0.025, at + 0.05 * beat, 0.5 * beat)
-    score.pose(
-        at - 0.5 * beat, 0.7 * beat, twist=sign * v(0.08, 0.38), yaw=-sign * v(0.0, 0.14), bend=sign * v(0.0, 0.12)
-    )
+    score.pose(at - 0.5 * beat, 0.7 * beat, twist=sign * v(0.08, 0.38), yaw=-sign * v(0.0, 0.14))
+    score.move("bend", sign * v(0.0, 0.12), at - 0.5 * beat, 0.7 * beat)
     score.pose(at - 0.5 * beat, 0.8 * beat, tilt=sign * v(0.02, 0.10), flex=0.05 + v(0.0, 0.12))
     score.move("nod", v(0.05, 0.25) * (1 if k % 2 else -0.3), at - 0.4 * beat, 0.6 * beat)
 

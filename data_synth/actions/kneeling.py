@@ -19,13 +19,6 @@ HALF = 0.07
 FOURS = {"pitch": 1.38, "flex": 0.10, "steady": 0.35, "nod": -0.2, "twist": 0.0, "bend": 0.0}
 
 
-def place_of(score: Score, joint: str) -> tuple[float, float, float]:
-    """Where a joint is in the pose that the score has reached, metres."""
-    pose = {name: torch.tensor([value], dtype=torch.float64) for name, value in score.value.items()}
-    skeleton = score.subject.skeleton.to(torch.float64)
-    return tuple(fk(skeleton, *solve(score.subject, pose))[0][0, skeleton.index(joint)].tolist())
-
-
 def knee_ahead(score: Score) -> float:
     """How far in front of the place of a foot with tucked toes its knee meets the floor, metres."""
     s = score.subject
@@ -71,9 +64,11 @@ def kneel_down(score: Score) -> None:
 
 def _hands(score: Score, start: float, duration: float) -> None:
     """Both hands to the floor, in front of where the shoulders will be."""
-    h = score.value["heading"]
+    h, skeleton = score.value["heading"], score.subject.skeleton.to(torch.float64)
+    reached = {name: torch.tensor([value], dtype=torch.float64) for name, value in score.value.items()}
+    positions, _ = fk(skeleton, *solve(score.subject, reached))
     for side in SIDES:
-        x, y, _ = place_of(score, f"{side}_shoulder")
+        x, y, _ = positions[0, skeleton.index(f"{side}_shoulder")].tolist()
         out = SIGN[side] * 0.08
         x, y = x - out * math.cos(h) - 0.10 * math.sin(h), y - out * math.sin(h) + 0.10 * math.cos(h)
         score.limb(side, start - 0.02, 0.02, hand_x=x, hand_y=y, hand_z=RADIUS["left_wrist"])

@@ -169,9 +169,7 @@ def _run_step(score, side, strike, stance, flight, place, heading, way) -> None:
     half, ahead = sign * 0.3 * s.step_width, -0.035 + 0.04
     x = place[0] - half * math.cos(heading) - ahead * math.sin(heading)
     y = place[1] - half * math.sin(heading) + ahead * math.cos(heading)
-    swing = step_time + flight
-    first = f"{side}_ankle" in score.planted and score.planted[f"{side}_ankle"] < score.now
-    lift = strike - swing if not first else max(score.now + 0.2, strike - swing)
+    lift = max(score.now + 0.2, strike - (step_time + flight))
     score.step(
         side, (x, y), heading + sign * 0.5 * s.toe_out, lift, strike, height=0.10 + 0.10 * way, heel=0.95 + 0.3 * way,
         toe=0.10, early=0.75 * stance, late=0.05, shape=(0.55, 0.50, 1.55),

@@ -32,10 +32,9 @@ def sit(score: Score, *, seconds: float = 3.0) -> None:
         end = score.now + seconds
         while score.now < end - 0.6:
             span = min(v(1.0, 2.0), end - score.now)
-            score.pose(
-                score.now, 0.8 * span, turn=v(-0.6, 0.6), nod=v(-0.1, 0.35), pitch=v(-0.2, 0.08), flex=v(0.05, 0.4)
-            )
-            score.pose(score.now, 0.8 * span, twist=v(-0.15, 0.15), bend=v(-0.08, 0.08), cock=v(-0.1, 0.1))
+            look = {"turn": v(-0.6, 0.6), "nod": v(-0.1, 0.35), "pitch": v(-0.2, 0.08), "flex": v(0.05, 0.4)}
+            look |= {"twist": v(-0.15, 0.15), "bend": v(-0.08, 0.08), "cock": v(-0.1, 0.1)}
+            score.pose(score.now, 0.8 * span, **look)
             if score.chance(0.4):
                 side = score.choose(SIDES)
                 score.limb(side, score.now, 0.5, elbow=v(1.2, 2.1), rotate=v(-0.4, 0.2), raised=v(0.3, 1.0))
