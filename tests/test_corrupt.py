@@ -1,6 +1,5 @@
 """Corruptions: the mask says exactly what changed, the original stays, and each failure is the one it names."""
 
-
 import pytest
 import torch
 
