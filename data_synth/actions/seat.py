@@ -87,13 +87,13 @@ def crouch(score: Score) -> None:
         score.now += 1.15 * up
 
 
-def jump(score: Score) -> None:
-    """Jump off both feet, on the spot or ahead, with or without a turn on the way.
+def jump(score: Score, *, height: float | None = None) -> None:
+    """Jump off both feet, ``height`` metres (drawn if None), on the spot or ahead, with or without a turn on the way.
 
     Crouch, extend, fly as gravity has it (z'' = -g between take-off and landing), absorb.
     """
     s, v = score.subject, score.uniform
-    speed = math.sqrt(2 * GRAVITY * v(0.10, 0.32))  # the height of the flight, metres
+    speed = math.sqrt(2 * GRAVITY * (v(0.10, 0.32) if height is None else height))
     distance, spin = score.choose((0.0, v(0.1, 0.6))), score.choose((0.0, 0.0, v(-1.6, 1.6)))  # metres, radians
     flight = 2 * speed / GRAVITY
     with score.action("jump"):
