@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from unittest.mock import Mock
 
+import nbformat
 import pytest
 import torch
 
@@ -22,31 +23,22 @@ from suite import execute, findings, pages, report, staleness
 from tests.figures import standing
 
 
-def notebook(*sources, **metadata):
-    import nbformat  # takes seconds to load
-
-    book = nbformat.v4.new_notebook(
-        metadata={"kernelspec": {"name": "python3", "display_name": "Python 3"}, **metadata}
-    )
-    book.cells = [nbformat.v4.new_code_cell(source) for source in sources]
-    return book
+def write_notebook(path, *sources):
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3"}}
+    cells = [nbformat.v4.new_code_cell(source) for source in sources]
+    nbformat.write(nbformat.v4.new_notebook(metadata=kernel, cells=cells), path)
 
 
 @pytest.fixture
 def suite(tmp_path, monkeypatch):
     """A suite of two notebooks, the first of which fails, with a ledger and one recorded finding."""
-    import nbformat
-
     folder = tmp_path / "notebooks"
     (folder / "results").mkdir(parents=True)
-    nbformat.write(notebook("x = 1", "1 / 0", "print('never')"), folder / "00_fails.ipynb")
-    nbformat.write(
-        notebook("import os", "print(os.environ['MOTIONLAB_PROFILE'], os.getcwd())"), folder / "01_runs.ipynb"
-    )
+    write_notebook(folder / "00_fails.ipynb", "x = 1", "1 / 0", "print('never')")
+    write_notebook(folder / "01_runs.ipynb", "import os", "print(os.environ['MOTIONLAB_PROFILE'], os.getcwd())")
     (folder / "claims.toml").write_text(LEDGER, encoding="utf-8")
-    finding = findings.Finding(
-        "X01.size", "synthetic", 4.0, 3.0, 5.0, 9, "cm", "mean", ">= 2 cm", "holds", "01_runs", "full"
-    )
+    measured = "X01.size", "synthetic", 4.0, 3.0, 5.0, 9, "cm", "mean", ">= 2 cm", "holds"
+    finding = findings.Finding(*measured, "01_runs", "full")
     findings.save_record(folder / "results" / "01.json", findings.Record("01_runs", "", (finding,)))
     monkeypatch.setattr(execute, "NOTEBOOKS", folder)
     return folder

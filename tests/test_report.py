@@ -7,6 +7,7 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import nbformat
 import pytest
 from PIL import Image
 
@@ -123,8 +124,6 @@ def encoded(colour, kind="PNG"):
 
 def stored(path: Path):
     """A notebook with a plot, a film, code that shows nothing, and an error."""
-    import nbformat  # takes seconds to load
-
     new = nbformat.v4
     poster = f'poster="data:image/jpeg;base64,{encoded("red", "JPEG")}"'
     film = f'<video loop {poster} src="data:video/mp4;base64,AAAA"></video>'

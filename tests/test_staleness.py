@@ -71,13 +71,11 @@ def write_cells(folder, cells):
 
 def stamped(run, folder, monkeypatch):
     """The record of a full run with the fingerprint of a smoke run."""
-    monkeypatch.setenv("MOTIONLAB_RESULTS", str(folder / "results"))
-    run("full")
-    monkeypatch.setenv("MOTIONLAB_RESULTS", str(folder / "smoke"))
-    monkeypatch.delenv("MOTIONLAB_VERIFY")
-    run()
-    monkeypatch.delenv("MOTIONLAB_RESULTS")
-    monkeypatch.setenv("MOTIONLAB_VERIFY", "1")
+    with monkeypatch.context() as patch:
+        patch.delenv("MOTIONLAB_VERIFY")
+        for name, profile in (("results", "full"), ("smoke", "smoke")):
+            patch.setenv("MOTIONLAB_RESULTS", str(folder / name))
+            run(profile)
     path = folder / "results/02.json"
     record, smoke = findings.load_record(path), findings.load_record(folder / "smoke/02.json")
     findings.save_record(path, replace(record, fingerprint=smoke.fingerprint))
