@@ -20,7 +20,6 @@ from motionlab.observation import Observation2D
 
 #: The keypoints of a leg below the hip, without their side.
 LEG = ("knee", "ankle", "big_toe", "small_toe", "heel")
-SIDES = ("left", "right")
 Spoilt = tuple[Observation2D, Tensor]  # and the mask of what changed
 
 
@@ -38,9 +37,9 @@ def drop_frames(observation: Observation2D, frames: Iterable[int]) -> Spoilt:
 
 def flip_limbs(observation: Observation2D, generator: torch.Generator, share: float, length: int) -> Spoilt:
     """Left and right leg change places, confidence and all, in runs of frames."""
-    pairs = [[observation.index(f"{side}_{part}") for part in LEG] for side in SIDES]
+    left, right = _legs(observation)
     swapped = torch.arange(len(observation.names))
-    swapped[pairs[0]], swapped[pairs[1]] = torch.tensor(pairs[1]), torch.tensor(pairs[0])
+    swapped[left], swapped[right] = torch.tensor(right), torch.tensor(left)
     frames = _runs(observation.confidence.shape[:-1], share, length, generator)
     mask = frames[..., None] & (swapped != torch.arange(len(swapped)))
     return _put(observation, observation.keypoints[..., swapped, :], observation.confidence[..., swapped], mask)
@@ -56,9 +55,7 @@ def two_legs_from_one(observation: Observation2D, generator: torch.Generator, le
 
     Source: thesis 3.2.3, Fig. 3.3.
     """
-    parts = [part for part in LEG if all(f"{side}_{part}" in observation.names for side in SIDES)]
-    legs = [[observation.index(f"{side}_{part}") for part in parts] for side in SIDES]
-    shin = [parts.index("knee"), parts.index("ankle")]
+    legs, shin = _legs(observation), [LEG.index("knee"), LEG.index("ankle")]
     seen = [observation.visible[..., [leg[i] for i in shin]].all(-1) for leg in legs]
     copied = [seen[1 - s] & (~seen[s] | _before_it_vanishes(seen[s], lead)) for s in (0, 1)]
     coin = torch.rand(*seen[0].shape[:-1], 1, generator=generator) < 0.5
@@ -90,6 +87,10 @@ def false_detections(observation: Observation2D, generator: torch.Generator, sha
     keypoints = place + torch.randn(shape, generator=generator)
     confidence = 0.6 + 0.35 * torch.rand(shape[:-1], generator=generator)
     return _put(observation, keypoints, confidence, mask)
+
+
+def _legs(observation: Observation2D) -> list[list[int]]:
+    return [[observation.index(f"{side}_{part}") for part in LEG] for side in ("left", "right")]
 
 
 def _put(observation: Observation2D, keypoints: Tensor, confidence: Tensor, mask: Tensor) -> Spoilt:

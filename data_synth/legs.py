@@ -42,11 +42,6 @@ def two_bone(
     return upper_way, lower_way, axis, flexion
 
 
-def bone_frame(axis: Tensor, along: Tensor) -> Tensor:
-    """Orientation (..., 3, 3) of a leg bone: local x along the hinge, local -y along the bone."""
-    return torch.stack((axis, -along, torch.linalg.cross(axis, -along, dim=-1)), -1)
-
-
 def heading_rotation(yaw: Tensor) -> Tensor:
     """World orientation (..., 3, 3) of an upright body that has turned ``yaw`` radians to its left from +y."""
     return rotation_about("z", yaw) @ UPRIGHT.to(yaw)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from data_synth.anatomy import RADIUS, clearance, height_at_rest
 from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
-from data_synth.legs import bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
+from data_synth.legs import foot_pose, hanging, heading_rotation, two_bone, unit
 from data_synth.score import CHANNELS, SIDED, SIDES, SIGN, Score
 from data_synth.subjects import Subject
 from motionlab.motion import Motion
@@ -192,7 +192,8 @@ def _leg(rot, hip, pelvis_rot, foot, c, side, subject) -> None:
     hanging_back = ramp(c["lift"] / (0.012 + 0.06 * c["air"]) + c["loose"])
     ease = 0.02 * hanging_back + 0.07 * (c["bent"] + c["low"])
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
-    thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
+    # local x along the hinge, local -y along the bone
+    thigh_rot, shin_rot = (torch.stack((axis, -b, torch.linalg.cross(axis, -b, dim=-1)), -1) for b in (upper, lower))
     foot_rot = hanging(foot_rot, shin_rot, ramp(c["lift"] / 0.015))
     rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
     rot[:, name(f"{side}_knee")] = thigh_rot.mT @ shin_rot
@@ -258,8 +259,7 @@ def _planned_contacts(score: Score, t: Tensor) -> Tensor:
     """Contacts (T, C) of the joints that the score plants."""
     names = score.subject.skeleton.contact_names
     contacts = torch.zeros(len(t), len(names), dtype=torch.float64)
-    open_ended = [(joint, start, math.inf) for joint, start in score.planted.items()]
-    for joint, start, stop in [*score.contacts, *open_ended]:
+    for joint, start, stop in [*score.contacts, *((joint, start, math.inf) for joint, start in score.planted.items())]:
         contacts[(t >= start - 1e-9) & (t <= stop + 1e-9), names.index(joint)] = 1
     return contacts
 

@@ -84,12 +84,11 @@ def _bounce(score: Score, beat: float) -> None:
 
 def _march(score: Score, beat: float) -> None:
     """Step on the spot with high knees."""
-    side = score.choose(SIDES)
-    for k in range(4):
+    first = score.choose(SIDES)
+    for k, side in enumerate(2 * (first, OTHER[first])):
         at = score.now + k * beat
         score.move("sway", -SIGN[side] * 0.045, at - 0.85 * beat, 0.6 * beat)
         _put(score, side, at, beat, outward=0.0, forward=0.0, height=score.uniform(0.12, 0.24))
-        side = OTHER[side]
     score.move("sway", 0.0, score.now + 3.2 * beat, 0.7 * beat)
 
 
@@ -118,12 +117,10 @@ def _vine(score: Score, beat: float) -> None:
 def _turning(score: Score, beat: float) -> None:
     """A quarter to a half turn in four small steps."""
     angle = score.choose((-1, 1)) * score.uniform(1.2, 3.0)
-    side = "left" if angle > 0 else "right"
-    for k in range(4):
+    for k, side in enumerate(2 * SIDES if angle > 0 else 2 * SIDES[::-1]):
         at = score.now + k * beat
         score.nudge("heading", angle / 4, at - 0.9 * beat, 1.3 * beat)
         _put(score, side, at, beat, outward=0.02, forward=0.0)
-        side = OTHER[side]
 
 
 def _home(score: Score, beat: float) -> None:
