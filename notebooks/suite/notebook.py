@@ -70,7 +70,7 @@ def setup(
 
 @dataclass
 class Lab:
-    """One notebook's bench, made by :func:`setup`. recorded, code: its record, and a hash of its cells, as it opened."""
+    """One notebook's bench, made by :func:`setup`. recorded, code: its record and a hash of its cells, as it opened."""
 
     notebook: str
     profile: str
