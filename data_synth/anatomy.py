@@ -31,6 +31,8 @@ LIMITS: dict[str, dict[str, tuple[float, float]]] = {
     "elbow": {"flexion": (-2, 155), "off hinge": (0, 1)},
     "wrist": {"pronation": (-90, 90), "flexion": (-80, 80)},
 }
+#: How far the heel lies behind the ankle, and the tip of the toes in front of the ball joint, metres.
+HEEL, TOES = 0.05, 0.06
 #: Thickness of the body around joints that may lie on the floor, metres.
 RADIUS = {
     "pelvis": 0.095, "left_hip": 0.085, "right_hip": 0.085, "spine1": 0.09, "spine2": 0.095, "spine3": 0.10,
@@ -47,6 +49,23 @@ def height_at_rest(skeleton: Skeleton, name: str) -> float:
     if name.endswith("ankle"):
         return skeleton.sole - float(skeleton.offsets[..., skeleton.index(name.replace("ankle", "foot")), 1])
     return RADIUS[name]
+
+
+def clearance(skeleton: Skeleton, positions: Tensor, orientations: Tensor) -> Tensor:
+    """Metres (..., points) above the floor, of the body around the joints of RADIUS, and of each heel, toe and ball.
+
+    positions (..., J, 3), orientations (..., J, 3, 3): of the joints, world.
+    """
+    heights = positions[..., 2]
+    above = list((heights[..., skeleton.indices(list(RADIUS))] - heights.new_tensor(list(RADIUS.values()))).unbind(-1))
+    for side in ("left", "right"):
+        ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
+        heel = heights.new_tensor([0.0, float(skeleton.offsets[..., ball, 1]) - skeleton.sole, -HEEL])
+        toes = heights.new_tensor([0.0, -skeleton.sole, TOES])
+        above.append(heights[..., ankle] + orientations[..., ankle, 2, :] @ heel)
+        above.append(heights[..., ball] + orientations[..., ball, 2, :] @ toes)
+        above.append(heights[..., ball] - skeleton.sole)
+    return torch.stack(above, -1)
 
 
 def angles(skeleton: Skeleton, rot: Tensor) -> dict[tuple[str, str], Tensor]:

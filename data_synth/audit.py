@@ -5,13 +5,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from data_synth.anatomy import RADIUS, excess, height_at_rest
-from data_synth.legs import HEEL
+from data_synth.anatomy import clearance, excess, height_at_rest
 from data_synth.perform import DOWN, LYING
 from motionlab.motion import Motion
 
-#: Length of the toes in front of the ball joint, metres.
-TOES = 0.06
 #: Half the depth of the trunk, how much more its half width is, and half of a forearm, metres.
 TRUNK, FLANK, ARM = 0.10, 0.04, 0.03
 
@@ -25,7 +22,7 @@ class Audit:
     penetration: metres below the floor, of heel, ball, toes, or the body's thickness around any other joint.
     limit_excess: degrees beyond the anatomical range; at: which joint and angle.
     arm_depth: metres by which an arm is inside the trunk.
-    acceleration: greatest of any joint, m/s^2; mean_acceleration: over joints and frames.
+    mean_acceleration: m/s^2, over joints and frames.
     """
 
     contact_speed: float
@@ -34,70 +31,35 @@ class Audit:
     limit_excess: float
     at: str
     arm_depth: float
-    acceleration: float
     mean_acceleration: float
 
 
 def audit(motion: Motion) -> Audit:
-    """Measure a motion on a skeleton with the standard joint names; without contacts the contact figures are 0."""
-    motion = motion.to(torch.float64)
-    beyond = excess(motion.skeleton, motion.rot)
-    worst = max(beyond, key=lambda key: float(beyond[key].max()))
-    a = acceleration(motion)
-    return Audit(
-        contact_speed=float(contact_speed(motion).max()),
-        contact_height=float(contact_height(motion).max()),
-        penetration=float(penetration(motion).max().clamp(min=0)),
-        limit_excess=float(beyond[worst].max()),
-        at=" ".join(worst),
-        arm_depth=float(arm_depth(motion).max()),
-        acceleration=float(a.max()),
-        mean_acceleration=float(a.mean()),
-    )
+    """Measure a motion on a skeleton with the standard joint names; without contacts the contact figures are 0.
 
-
-def contact_speed(motion: Motion) -> Tensor:
-    """Metres per frame (..., T-1, C) of the contact joints between frames in which their contact is on, else 0."""
-    positions = motion.positions[..., motion.skeleton.contact_indices, :]
-    if motion.contacts is None:
-        return torch.zeros_like(positions[..., 1:, :, 0])
-    on = motion.contacts[..., 1:, :] * motion.contacts[..., :-1, :]
-    return positions.diff(dim=-3).norm(dim=-1) * on
-
-
-def contact_height(motion: Motion) -> Tensor:
-    """Metres (..., T, C) between a contact joint that is on and its height at rest, else 0.
-
-    Feet and ankles rest at the height of the flat foot, knees and wrists at their thickness, the pelvis (on
+    At rest, feet and ankles are at the height of the flat foot, knees and wrists at their thickness, the pelvis (on
     back, belly or side) anywhere within 4 cm of its; while it is lower than DOWN, the others within LYING of theirs.
     """
-    skeleton = motion.skeleton
-    height = motion.positions[..., skeleton.contact_indices, 2]
-    if motion.contacts is None:
-        return torch.zeros_like(height)
+    motion = motion.to(torch.float64)
+    skeleton, points = motion.skeleton, motion.positions[..., motion.skeleton.contact_indices, :]
+    height = points[..., 2]
+    on = torch.zeros_like(height) if motion.contacts is None else motion.contacts
+    speed = points.diff(dim=-3).norm(dim=-1) * (on[..., 1:, :] * on[..., :-1, :])
     rest = torch.tensor([height_at_rest(skeleton, name) for name in skeleton.contact_names]).to(height)
     pelvis = skeleton.contact_names.index("pelvis")
     loose = LYING * (height[..., pelvis : pelvis + 1] < DOWN).to(height).expand_as(height).clone()
     loose[..., pelvis] = 0.04
-    return ((height - rest).abs() - loose).clamp(min=0) * motion.contacts
-
-
-def penetration(motion: Motion) -> Tensor:
-    """Metres (..., T, points) below the floor: heels, balls and toes, and the body around the other joints."""
-    skeleton = motion.skeleton
-    positions, orientations = motion.world
-    depth = []
-    for side in ("left", "right"):
-        ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
-        down = float(skeleton.offsets[..., ball, 1]) - skeleton.sole
-        heel = positions.new_tensor([0.0, down, -HEEL])
-        toe = positions.new_tensor([0.0, -skeleton.sole, TOES])
-        depth.append(-(positions[..., ankle, 2] + orientations[..., ankle, 2, :] @ heel))
-        depth.append(-(positions[..., ball, 2] + orientations[..., ball, 2, :] @ toe))
-        depth.append(skeleton.sole - positions[..., ball, 2])
-    for name, radius in RADIUS.items():
-        depth.append(radius - positions[..., skeleton.index(name), 2])
-    return torch.stack(depth, -1)
+    beyond = excess(skeleton, motion.rot)
+    worst = max(beyond, key=lambda key: float(beyond[key].max()))
+    return Audit(
+        contact_speed=float(speed.max()),
+        contact_height=float((((height - rest).abs() - loose).clamp(min=0) * on).max()),
+        penetration=float(-clearance(skeleton, *motion.world).min().clamp(max=0)),
+        limit_excess=float(beyond[worst].max()),
+        at=" ".join(worst),
+        arm_depth=float(arm_depth(motion).max()),
+        mean_acceleration=float(acceleration(motion).mean()),
+    )
 
 
 def arm_depth(motion: Motion) -> Tensor:
@@ -111,9 +73,8 @@ def arm_depth(motion: Motion) -> Tensor:
     along = high - low
     points = []
     for side in ("left", "right"):
-        shoulder, elbow, wrist = (
-            p[..., motion.skeleton.index(f"{side}_{name}"), :] for name in ("shoulder", "elbow", "wrist")
-        )
+        arm = motion.skeleton.indices([f"{side}_{name}" for name in ("shoulder", "elbow", "wrist")])
+        shoulder, elbow, wrist = p[..., arm, :].unbind(-2)
         points += [shoulder + share * (elbow - shoulder) for share in (0.5, 0.6, 0.7, 0.8)]
         points += [elbow + share * (wrist - elbow) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     off = torch.stack(points, -2) - low[..., None, :]

@@ -60,9 +60,8 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
     rest = STANDARD.rest_positions()
     owners, starts, ends, radii = _flesh(rest)
     half = ((rest.abs().amax(0) + 0.23) / spacing).ceil()
-    grid = pv.ImageData(
-        dimensions=(2 * half.int() + 1).tolist(), spacing=(spacing,) * 3, origin=(-spacing * half).tolist()
-    )
+    sides, corner = (2 * half.int() + 1).tolist(), (-spacing * half).tolist()
+    grid = pv.ImageData(dimensions=sides, spacing=(spacing,) * 3, origin=corner)
     points = torch.tensor(grid.points).float()
     field = -_BLEND * torch.logsumexp(-_distance(points, starts, ends, radii) / _BLEND, dim=1)
     floor = rest[:, 1].min() - STANDARD.sole
@@ -124,13 +123,10 @@ def _flesh(rest: Tensor) -> tuple[list[int], Tensor, Tensor, Tensor]:
     def at(joint: int, end: str | tuple) -> Tensor:
         return rest[STANDARD.index(end)] if isinstance(end, str) else rest[joint] + torch.tensor(end)
 
-    owners, starts, ends, radii = [], [], [], []
-    for line in (*_MIDDLE, *_LEFT, *map(_mirrored, _LEFT)):
-        owners.append(STANDARD.index(line[0]))
-        starts.append(at(owners[-1], line[1]))
-        ends.append(at(owners[-1], line[2]))
-        radii.append(line[3:])
-    return owners, torch.stack(starts), torch.stack(ends), torch.tensor(radii)
+    lines = [*_MIDDLE, *_LEFT, *map(_mirrored, _LEFT)]
+    owners = [STANDARD.index(line[0]) for line in lines]
+    starts, ends = (torch.stack([at(o, line[k]) for o, line in zip(owners, lines, strict=True)]) for k in (1, 2))
+    return owners, starts, ends, torch.tensor([line[3:] for line in lines])
 
 
 def _mirrored(line: tuple) -> tuple:

@@ -12,19 +12,17 @@ from torch import Tensor
 
 from data_synth.body import tree_distance
 from data_synth.occluders import Occluder
-from data_synth.sight import Shell, gap_to, shell
+from data_synth.score import uniform
+from data_synth.sight import gap_to, shell
 from motionlab.body import BodyModel, lbs
-from motionlab.errors import NotConverged, ShapeError
+from motionlab.errors import NotConverged
 from motionlab.motion import Motion, velocity
 from motionlab.observation import BODY_25, Camera, Observation2D, look_at, project
 
 #: The joint of the 22 that each keypoint shows; the other eleven are vertices of the body.
 #: Source: the mapping that HuMoR and SMPLify use. Differs: OpenPose's own neck lies midway between the shoulders.
-JOINTS = {"neck": "neck", "mid_hip": "pelvis"} | {
-    f"{side}_{part}": f"{side}_{part}"
-    for side in ("left", "right")
-    for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-}
+JOINTS = {name: name for name in BODY_25 if name.endswith(("shoulder", "elbow", "wrist", "hip", "knee", "ankle"))}
+JOINTS |= {"neck": "neck", "mid_hip": "pelvis"}
 #: Spread of human annotators by keypoint, as a share of the person's size: how hard a keypoint is to place.
 #: Source: COCO keypoint evaluation (17 keypoints), COCO-WholeBody (feet); neck and mid hip as shoulder and hip.
 DIFFICULTY = {
@@ -43,17 +41,14 @@ NEAR = 0.03  # metres at the person's depth: an error below this counts as a hit
 class Truth:
     """What only a judge may see. T frames, 25 keypoints of BODY_25.
 
-    points (T, 25, 3): metres, world. pixels (T, 25, 2): their true image.
-    visible (T, 25): in the image, with nothing in between. clear (T, 25): share of the keypoint's
-    surroundings that no occluder covers. self_hidden (T, 25): behind the person's own body.
-    sigma (T, 25): pixels, the noise per coordinate that was drawn. near (T,): pixels that NEAR is long.
+    pixels (T, 25, 2): their true image. visible (T, 25): in the image, with nothing in between. clear (T, 25): share of
+    the keypoint's surroundings that no occluder covers. sigma (T, 25): pixels, the noise per coordinate that was drawn.
+    near (T,): pixels that NEAR is long.
     """
 
-    points: Tensor
     pixels: Tensor
     visible: Tensor
     clear: Tensor
-    self_hidden: Tensor
     sigma: Tensor
     near: Tensor
 
@@ -97,12 +92,7 @@ def observe(
     or by the own body and unlucky (it is found with probability ``clear`` and 0.7), or confidence < 0.05.
 
     occluders: they block the view. correlation: of the error from one frame to the next.
-
-    Raises:
-        ShapeError: batch axes.
     """
-    if motion.root.ndim != 2:
-        raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
     points = keypoints(motion, body)
     pixels, depth = project(camera, points)
     size = pixels.new_tensor([camera.width, camera.height])
@@ -129,34 +119,30 @@ def observe(
     seen = torch.where(detected[..., None], pixels + error, 0.0)
     observation = Observation2D(seen, torch.where(detected, confidence, 0.0), BODY_25, motion.fps, camera, motion.name)
     visible = inside & centre_free & ~self_hidden
-    return Capture(observation, Truth(points, pixels, visible, clear, self_hidden, sigma, near[:, 0]))
+    return Capture(observation, Truth(pixels, visible, clear, sigma, near[:, 0]))
 
 
 def frame_motion(
-    motion: Motion, generator: torch.Generator, *, azimuth: tuple[float, float] = (0.0, 360.0),
+    motion: Motion, generator: torch.Generator, *, around: float = 180.0, by: float = 180.0,
     stand: tuple[float, float] = (0.8, 2.2),
 ) -> Camera:  # fmt: skip
     """A plausible camera that keeps the person in view for the whole motion, from a random side.
 
-    Drawn: the direction in which it stands, from ``azimuth`` degrees about the world's z from +x; its height
-    from ``stand`` metres; its horizontal angle of view from 35 to 60 degrees. It looks at the middle of the
+    Drawn: the direction in which it stands, ``by`` degrees to both sides of ``around`` about the world's z from +x; its
+    height from ``stand`` metres; its horizontal angle of view from 35 to 60 degrees. It looks at the middle of the
     motion from as near as keeps 25 cm around every joint in the image.
 
     Raises:
         NotConverged: no distance up to 200 m shows the whole motion.
     """
-    drawn = torch.rand(3, generator=generator, dtype=torch.float64).tolist()
-    side, eye_height, angle = (
-        low + u * (high - low) for u, (low, high) in zip(drawn, (azimuth, stand, (35.0, 60.0)), strict=True)
-    )
+    side, eye_height, angle = (uniform(generator, *ends) for ends in ((around - by, around + by), stand, (35.0, 60.0)))
     width, height = _IMAGE
     focal = width / 2 / math.tan(math.radians(angle) / 2)
     joints = motion.positions.reshape(-1, 3)
     low, high = joints.amin(0), joints.amax(0)
     target = (low + high) / 2
     toward = torch.tensor([math.cos(math.radians(side)), math.sin(math.radians(side)), 0.0]).to(joints)
-    corners = 0.25 * torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]).to(joints)
-    cloud = (joints[:, None] + corners).reshape(-1, 3)
+    cloud = (joints[:, None] + torch.cartesian_prod(*3 * [joints.new_tensor([-0.25, 0.25])])).reshape(-1, 3)
     for distance in torch.logspace(0.0, 2.3, 120).tolist():
         eye = target + distance * toward
         eye[2] = eye_height
@@ -189,7 +175,7 @@ def _self_hidden(motion: Motion, body: BodyModel, points: Tensor, camera: Camera
     it, unless it enters the flesh of a joint at most two bones away less than 20 cm before it. A keypoint on
     the skin may lie 2 cm behind the entry.
     """
-    hull: Shell = shell(body)
+    hull = shell(body)
     vertices = lbs(body, motion.skeleton, motion.root, motion.rot, vertices=hull.vertices)
     gap, face = gap_to(vertices, hull.faces, camera.centre.to(points), points)
     is_joint = torch.tensor([name in JOINTS for name in BODY_25])

@@ -11,6 +11,7 @@ import math
 import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from tqdm.auto import tqdm
@@ -21,7 +22,6 @@ from data_synth.perform import Take
 from data_synth.score import Score
 from data_synth.subjects import SUBJECTS, Subject
 from motionlab import checkpoint
-from motionlab.errors import ShapeError
 from motionlab.files import source_hash
 from motionlab.motion import Motion, fix_root_horizontally
 
@@ -73,56 +73,37 @@ class Sequence:
         return self.take.motion
 
 
-@dataclass(frozen=True, eq=False)
-class Corpus:
-    """All sequences, and the recipe they follow."""
+class Corpus(NamedTuple):
+    """All sequences; what a model may learn from; unseen sequences of known subjects; all of the unknown subject."""
 
-    recipe: Recipe
     sequences: tuple[Sequence, ...]
-
-    def _of(self, split: str) -> tuple[Sequence, ...]:
-        return tuple(s for s in self.sequences if s.split == split)
-
-    @property
-    def train(self) -> tuple[Sequence, ...]:
-        """What a model may learn from."""
-        return self._of("train")
-
-    @property
-    def heldout_sequences(self) -> tuple[Sequence, ...]:
-        """Unseen sequences of subjects that were seen."""
-        return self._of("held-out sequence")
-
-    @property
-    def heldout_subject(self) -> tuple[Sequence, ...]:
-        """Everything of the subject that was never seen."""
-        return self._of("held-out subject")
+    train: tuple[Sequence, ...]
+    heldout_sequences: tuple[Sequence, ...]
+    heldout_subject: tuple[Sequence, ...]
 
 
-def build(seed: int = 0, version: str = "B", *, recipe: Recipe | None = None, progress: bool = True) -> Corpus:
+def build(version: str = "B", *, recipe: Recipe | None = None, progress: bool = True) -> Corpus:
     """The corpus of a recipe, from the cache if it is there and whole, else made (and cached).
 
     The cache lies in $MOTIONLAB_CACHE or ~/.cache/motionlab, one file per recipe and state of the code. A
     damaged file is made anew.
-
-    Raises:
-        ShapeError: the version is neither "A" nor "B".
     """
-    recipe = recipe or Recipe(seed=seed, version=version)
-    if recipe.version not in ("A", "B"):
-        raise ShapeError(f'version: expected "A" or "B", got {recipe.version!r}')
+    recipe = recipe or Recipe(version=version)
     path = cache_path(recipe)
     takes = _kept(path, recipe)
     if takes is None:
-        takes = [
-            perform_sequence(recipe, k)
-            for k in tqdm(range(recipe.sequences), desc="synthetic corpus", unit="sequence", disable=not progress)
-        ]
+        indices = tqdm(range(recipe.sequences), desc="synthetic corpus", unit="sequence", disable=not progress)
+        takes = [perform_sequence(recipe, k) for k in indices]
         _keep(path, takes)
     if recipe.version == "A":
         takes = [replace(take, motion=fix_root_horizontally(take.motion)) for take in takes]
-    sequences = tuple(Sequence(f"{k:02d}_{take.subject.name}", take, _split(recipe, k)) for k, take in enumerate(takes))
-    return Corpus(recipe, sequences)
+    whole, parts = [], {"train": [], "held-out sequence": [], "held-out subject": []}
+    for k, take in enumerate(takes):
+        split = "held-out subject" if take.subject.name == recipe.heldout_subject else "train"
+        split = "held-out sequence" if split == "train" and k in recipe.heldout else split
+        whole.append(Sequence(f"{k:02d}_{take.subject.name}", take, split))
+        parts[split].append(whole[-1])
+    return Corpus(tuple(whole), *map(tuple, parts.values()))
 
 
 def perform_sequence(recipe: Recipe, index: int) -> Take:
@@ -153,8 +134,7 @@ def _roam(part: Score, room: float, name: str) -> None:
             return WRITERS["walk"](part, seconds=part.uniform(2.5, 3.5), speed=1.2, manner=manner)
         manner = None
     for attempt in range(150):
-        if attempt == 100:
-            name = "walk"
+        name = "walk" if attempt == 100 else name
         if attempt == 50:
             x, y, heading = (part.value[key] for key in ("x", "y", "heading"))
             away = math.atan2(x, -y) + part.uniform(-0.8, 0.8) - heading
@@ -180,29 +160,20 @@ def _arc_stays(part: Score, way: float, turn: float, half: float) -> bool:
     return True
 
 
-def _split(recipe: Recipe, index: int) -> str:
-    if recipe.subject(index).name == recipe.heldout_subject:
-        return "held-out subject"
-    return "held-out sequence" if index in recipe.heldout else "train"
-
-
 def cache_path(recipe: Recipe) -> Path:
     """Where the sequences of a recipe are cached; both versions share them. Changes with the code that makes them."""
     folder, here = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab", Path(__file__).parent
     files = [*(here / f"{name}.py" for name in _SOURCES), *sorted((here / "actions").glob("*.py"))]
     code = [source_hash(path.read_text(encoding="utf-8")) for path in files]
     what = asdict(recipe) | {"version": "", "heldout": (), "code": code}
-    return (
-        Path(folder)
-        / f"corpus-{hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]}.safetensors"
-    )
+    digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]
+    return Path(folder) / f"corpus-{digest}.safetensors"
 
 
 def _keep(path: Path, takes: list[Take]) -> None:
     tensors = {}
     for k, take in enumerate(takes):
-        arrays = (*(getattr(take.motion, name) for name in _ARRAYS[:-1]), take.phase)
-        tensors |= {f"{k}.{name}": value for name, value in zip(_ARRAYS, arrays, strict=True)}
+        tensors |= {f"{k}.{name}": getattr(take if name == "phase" else take.motion, name) for name in _ARRAYS}
     path.parent.mkdir(parents=True, exist_ok=True)
     checkpoint.keep(path, tensors, [take.labels for take in takes])
 

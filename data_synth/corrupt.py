@@ -16,42 +16,36 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from motionlab.errors import ShapeError, check_shape
 from motionlab.observation import Observation2D
 
 #: The keypoints of a leg below the hip, without their side.
 LEG = ("knee", "ankle", "big_toe", "small_toe", "heel")
-SIDES = ("left", "right")
+Spoilt = tuple[Observation2D, Tensor]  # and the mask of what changed
 
 
-def occlude_below(observation: Observation2D, points: Tensor, height: float = 0.9) -> tuple[Observation2D, Tensor]:
+def occlude_below(observation: Observation2D, points: Tensor, height: float = 0.9) -> Spoilt:
     """Hide every keypoint whose true place, ``points`` (..., T, K, 3) in metres, lies below ``height`` metres."""
-    check_shape(points, f"... T {len(observation.names)} 3", "points")
     return _hide(observation, points[..., 2] < height)
 
 
-def drop_frames(observation: Observation2D, frames: Iterable[int]) -> tuple[Observation2D, Tensor]:
+def drop_frames(observation: Observation2D, frames: Iterable[int]) -> Spoilt:
     """Nothing detected at all in the given frames; negative ones count from the end."""
     mask = torch.zeros_like(observation.visible)
     mask[..., list(frames), :] = True
     return _hide(observation, mask)
 
 
-def flip_limbs(
-    observation: Observation2D, generator: torch.Generator, share: float = 0.1, length: int = 3
-) -> tuple[Observation2D, Tensor]:
+def flip_limbs(observation: Observation2D, generator: torch.Generator, share: float, length: int) -> Spoilt:
     """Left and right leg change places, confidence and all, in runs of frames."""
-    pairs = [[observation.index(f"{side}_{part}") for part in LEG] for side in SIDES]
+    left, right = _legs(observation)
     swapped = torch.arange(len(observation.names))
-    swapped[pairs[0]], swapped[pairs[1]] = torch.tensor(pairs[1]), torch.tensor(pairs[0])
+    swapped[left], swapped[right] = torch.tensor(right), torch.tensor(left)
     frames = _runs(observation.confidence.shape[:-1], share, length, generator)
     mask = frames[..., None] & (swapped != torch.arange(len(swapped)))
     return _put(observation, observation.keypoints[..., swapped, :], observation.confidence[..., swapped], mask)
 
 
-def two_legs_from_one(
-    observation: Observation2D, generator: torch.Generator, lead: int = 10
-) -> tuple[Observation2D, Tensor]:
+def two_legs_from_one(observation: Observation2D, generator: torch.Generator, lead: int = 10) -> Spoilt:
     """A hidden leg is predicted on the visible one, with its confidence: the failure of Fig. 3.3.
 
     It strikes wherever one leg is seen (knee and ankle) and the other is not, and in the ``lead`` frames
@@ -61,9 +55,7 @@ def two_legs_from_one(
 
     Source: thesis 3.2.3, Fig. 3.3.
     """
-    parts = [part for part in LEG if all(f"{side}_{part}" in observation.names for side in SIDES)]
-    legs = [[observation.index(f"{side}_{part}") for part in parts] for side in SIDES]
-    shin = [parts.index("knee"), parts.index("ankle")]
+    legs, shin = _legs(observation), [LEG.index("knee"), LEG.index("ankle")]
     seen = [observation.visible[..., [leg[i] for i in shin]].all(-1) for leg in legs]
     copied = [seen[1 - s] & (~seen[s] | _before_it_vanishes(seen[s], lead)) for s in (0, 1)]
     coin = torch.rand(*seen[0].shape[:-1], 1, generator=generator) < 0.5
@@ -83,19 +75,12 @@ def two_legs_from_one(
     return _put(observation, keypoints, confidence, mask)
 
 
-def false_detections(
-    observation: Observation2D, generator: torch.Generator, share: float = 0.05, length: int = 5
-) -> tuple[Observation2D, Tensor]:
+def false_detections(observation: Observation2D, generator: torch.Generator, share: float, length: int) -> Spoilt:
     """Confident but wrong: keypoints sit on the background, for runs of frames.
 
     Each keypoint draws one place in the image per clip, trembles there by a pixel, and has confidence 0.6 to 0.95.
-
-    Raises:
-        ShapeError: the image size is not known.
     """
     mask = _runs(observation.confidence.transpose(-1, -2).shape, share, length, generator).transpose(-1, -2)
-    if observation.camera is None:
-        raise ShapeError("false detections on the background need the image size: an observation with a camera")
     size = torch.tensor([observation.camera.width, observation.camera.height])
     shape = observation.keypoints.shape
     place = size * torch.rand(*shape[:-3], 1, *shape[-2:], generator=generator)
@@ -104,9 +89,11 @@ def false_detections(
     return _put(observation, keypoints, confidence, mask)
 
 
-def _put(
-    observation: Observation2D, keypoints: Tensor, confidence: Tensor, mask: Tensor
-) -> tuple[Observation2D, Tensor]:
+def _legs(observation: Observation2D) -> list[list[int]]:
+    return [[observation.index(f"{side}_{part}") for part in LEG] for side in ("left", "right")]
+
+
+def _put(observation: Observation2D, keypoints: Tensor, confidence: Tensor, mask: Tensor) -> Spoilt:
     """New values under the mask, and the part of the mask where they are new indeed."""
     changed = (keypoints != observation.keypoints).any(-1) | (confidence != observation.confidence)
     mask = mask & changed
@@ -115,7 +102,7 @@ def _put(
     return replace(observation, keypoints=keypoints, confidence=confidence), mask
 
 
-def _hide(observation: Observation2D, mask: Tensor) -> tuple[Observation2D, Tensor]:
+def _hide(observation: Observation2D, mask: Tensor) -> Spoilt:
     zeros = torch.zeros_like(observation.keypoints)
     return _put(observation, zeros, zeros[..., 0], mask & observation.visible)
 

@@ -1,19 +1,17 @@
 """Two-bone inverse kinematics in closed form, and the foot that rolls over heel and ball."""
 
+from functools import partial
+
 import torch
 from torch import Tensor
+from torch.nn import functional
 
+from data_synth.anatomy import HEEL
 from data_synth.curves import soft_clip
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import UPRIGHT
 
-#: How far the heel lies behind the ankle, metres.
-HEEL = 0.05
-
-
-def unit(x: Tensor) -> Tensor:
-    """x over its length along the last axis."""
-    return x / torch.linalg.vector_norm(x, dim=-1, keepdim=True)
+unit = partial(functional.normalize, dim=-1)  # x over its length
 
 
 def two_bone(
@@ -44,26 +42,21 @@ def two_bone(
     return upper_way, lower_way, axis, flexion
 
 
-def bone_frame(axis: Tensor, along: Tensor) -> Tensor:
-    """Orientation (..., 3, 3) of a leg bone: local x along the hinge, local -y along the bone."""
-    return torch.stack((axis, -along, torch.linalg.cross(axis, -along, dim=-1)), -1)
-
-
 def heading_rotation(yaw: Tensor) -> Tensor:
     """World orientation (..., 3, 3) of an upright body that has turned ``yaw`` radians to its left from +y."""
     return rotation_about("z", yaw) @ UPRIGHT.to(yaw)
 
 
-def foot_pose(place: Tensor, yaw: Tensor, heel: Tensor, toe: Tensor, offset: Tensor, sole: float) -> tuple:
-    """Where a foot is: the ankle (..., 3), and the orientation of the foot (..., 3, 3).
+def foot_pose(c: dict[str, Tensor], offset: Tensor, sole: float) -> tuple[Tensor, Tensor]:
+    """Where a foot is, from its channels (...): the ankle (..., 3), and the orientation of the foot (..., 3, 3).
 
-    place (..., 3): the floor point under the ankle of the flat foot; its height is the lift of the whole foot.
-    heel, toe (...): radians by which the heel is raised about the ball, and the toes about the heel. Both
-    can be on only in the air; on the floor one of the pivots stands still, and nothing goes below it.
+    Of the flat foot, the floor point under the ankle, its lift and its yaw are given; then the radians by which the
+    heel is raised about the ball, and the toes about the heel. Both can be on only in the air; on the floor one of the
+    pivots stands still, and nothing goes below it.
     offset (3,): ankle to ball in the rest pose. sole: height of the ball joint over the floor.
     """
-    flat = heading_rotation(yaw)
-    toes_up, heel_up = rotation_about("x", -toe), rotation_about("x", heel)
+    flat, place = heading_rotation(c["foot_yaw"]), torch.stack([c[part] for part in ("foot_x", "foot_y", "lift")], -1)
+    toes_up, heel_up = rotation_about("x", -c["toe"]), rotation_about("x", c["heel"])
     up = offset.new_tensor([0.0, 1.0, 0.0])
     height = sole - float(offset[1])
     back = offset.new_tensor([0.0, -height, -HEEL])  # ankle to heel

@@ -7,9 +7,9 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from data_synth.anatomy import RADIUS, height_at_rest
+from data_synth.anatomy import RADIUS, clearance, height_at_rest
 from data_synth.curves import evaluate, noise, ramp, soft_clip, soft_min
-from data_synth.legs import HEEL, bone_frame, foot_pose, hanging, heading_rotation, two_bone, unit
+from data_synth.legs import foot_pose, hanging, heading_rotation, two_bone, unit
 from data_synth.score import CHANNELS, SIDED, SIDES, SIGN, Score
 from data_synth.subjects import Subject
 from motionlab.motion import Motion
@@ -97,17 +97,17 @@ def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     nod = soft_clip(c["nod"] - steady * (c["pitch"] + c["flex"]), -0.9, 0.75, 0.25)
     turn = soft_clip(c["turn"] - steady * (c["yaw"] + c["twist"]), -1.1, 1.1, 0.3)
     cock = soft_clip(c["cock"] - steady * (c["tilt"] + c["bend"]), -0.6, 0.6, 0.2)
-    for joint in ("neck", "head"):
-        rot[:, name(joint)] = (
-            rotation_about("y", turn / 2) @ rotation_about("x", nod / 2) @ rotation_about("z", cock / 2)
-        )
+    half = rotation_about("y", turn / 2) @ rotation_about("x", nod / 2) @ rotation_about("z", cock / 2)
+    rot[:, skeleton.indices(["neck", "head"])] = half[:, None]
 
     sides = {side: c | {part: c[f"{side}_{part}"] for part in SIDED} for side in SIDES}
-    feet = {side: _foot(subject, own, side) for side, own in sides.items()}
-    pelvis = _kneel(pelvis, pelvis_rot, feet, c, subject)
-    pelvis = _within_reach(pelvis, pelvis_rot, feet, c, subject)
+    offsets = {side: skeleton.offsets[name(f"{side}_foot")] for side in SIDES}
+    feet = {side: foot_pose(own, offsets[side], skeleton.sole) for side, own in sides.items()}
+    hips = {side: (pelvis_rot @ skeleton.offsets[name(f"{side}_hip")][:, None])[..., 0] for side in SIDES}
+    pelvis = _kneel(pelvis, hips, feet, c, subject)
+    pelvis = _within_reach(pelvis, hips, feet, c, subject)
     for side, own in sides.items():
-        _leg(rot, pelvis, pelvis_rot, feet[side], own, side, subject)
+        _leg(rot, pelvis + hips[side], pelvis_rot, feet[side], own, side, subject)
         _arm_angles(rot, own, side, subject)
     rot[:, 0] = pelvis_rot
     pelvis = _settle(pelvis, rot, c, subject)
@@ -116,16 +116,6 @@ def solve(subject: Subject, c: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         for side, own in sides.items():
             _arm_reach(rot, positions, orientations, own, side, subject)
     return pelvis, rot
-
-
-def _foot(subject: Subject, c: dict[str, Tensor], side: str) -> tuple[Tensor, Tensor]:
-    offset = subject.skeleton.offsets[subject.skeleton.index(f"{side}_foot")].to(torch.float64)
-    place = torch.stack([c[part] for part in ("foot_x", "foot_y", "lift")], -1)
-    return foot_pose(place, c["foot_yaw"], c["heel"], c["toe"], offset, subject.skeleton.sole)
-
-
-def _hip(subject: Subject, side: str) -> Tensor:
-    return subject.skeleton.offsets[subject.skeleton.index(f"{side}_hip")].to(torch.float64)
 
 
 def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -> Tensor:
@@ -137,7 +127,7 @@ def _knee_on_floor(foot: tuple[Tensor, Tensor], yaw: Tensor, subject: Subject) -
     return torch.cat((ankle[:, :2] + ahead[:, None] * way, torch.full_like(ankle[:, :1], KNEE)), -1)
 
 
-def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
+def _kneel(pelvis: Tensor, hips: dict, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
     """Shift the pelvis as little as possible so that the thighs of planted knees keep their length. Least |shift|^2 +
     sum w / (1 - w) error^2, w the weight of ``kneel``: exact at 1, no effect at 0."""
     weight = {side: c[f"{side}_kneel"] for side in SIDES}
@@ -150,7 +140,7 @@ def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor],
     for _ in range(8):
         rows, residual = [], []
         for side in SIDES:
-            line = moved + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0] - knees[side]
+            line = moved + hips[side] - knees[side]
             length = torch.linalg.vector_norm(line, dim=-1)
             rows.append(line / length[:, None])
             residual.append(length - thigh)
@@ -161,14 +151,13 @@ def _kneel(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor],
     return moved
 
 
-def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
+def _within_reach(pelvis: Tensor, hips: dict, feet: dict, c: dict[str, Tensor], subject: Subject) -> Tensor:
     """Lower the pelvis where a standing leg would have to be longer than it is (the compass of gait). A foot in the air
     has leave to hang back, by 0.3 of its height."""
     longest = 0.9985 - 0.06 * c["low"]
     soft = 0.002 + 0.06 * c["low"]
     limits = [pelvis[:, 2]]
-    for side in SIDES:
-        hip = (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
+    for side, hip in hips.items():
         away = feet[side][0][:, :2] - (pelvis + hip)[:, :2]
         up = ((longest * subject.leg) ** 2 - away.square().sum(-1)).clamp(min=0.01).sqrt()
         free = 0.3 * c[f"{side}_lift"].clamp(min=0) + 3 * (c[f"{side}_loose"] + c[f"{side}_kneel"] + c["air"])
@@ -176,11 +165,10 @@ def _within_reach(pelvis: Tensor, pelvis_rot: Tensor, feet: dict, c: dict[str, T
     return torch.cat((pelvis[:, :2], soft_min(torch.stack(limits, -1), soft)[:, None]), -1)
 
 
-def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
+def _leg(rot, hip, pelvis_rot, foot, c, side, subject) -> None:
     name = subject.skeleton.index
     ankle, foot_rot = foot
     thigh, shin = subject.length("left_knee"), subject.length("left_ankle")
-    hip = pelvis + (pelvis_rot @ _hip(subject, side)[:, None])[..., 0]
     left = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
     sign = SIGN[side]
     yaw_left = heading_rotation(c["foot_yaw"])[..., 0]
@@ -204,7 +192,8 @@ def _leg(rot, pelvis, pelvis_rot, foot, c, side, subject) -> None:
     hanging_back = ramp(c["lift"] / (0.012 + 0.06 * c["air"]) + c["loose"])
     ease = 0.02 * hanging_back + 0.07 * (c["bent"] + c["low"])
     upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
-    thigh_rot, shin_rot = bone_frame(axis, upper), bone_frame(axis, lower)
+    # local x along the hinge, local -y along the bone
+    thigh_rot, shin_rot = (torch.stack((axis, -b, torch.linalg.cross(axis, -b, dim=-1)), -1) for b in (upper, lower))
     foot_rot = hanging(foot_rot, shin_rot, ramp(c["lift"] / 0.015))
     rot[:, name(f"{side}_hip")] = pelvis_rot.mT @ thigh_rot
     rot[:, name(f"{side}_knee")] = thigh_rot.mT @ shin_rot
@@ -241,12 +230,10 @@ def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
     target = target + 0.2 * grip * (1 - grip) * target.new_tensor([0.0, 0.0, 1.0])  # it comes from above
     swing = orientations[:, name(f"{side}_shoulder"), :, 1]
     ease = (0.02 * grip + 0.4 * grip * (1 - grip))[:, 0]  # on the way no elbow snaps straight
-    upper, lower, axis, _ = two_bone(
-        shoulder, target, -sign * swing, subject.length("left_elbow"), subject.length("left_wrist"), ease
-    )
-    hinge = -sign * axis
-    upper_rot = torch.stack((sign * upper, hinge, torch.linalg.cross(sign * upper, hinge, dim=-1)), -1)
-    lower_rot = torch.stack((sign * lower, hinge, torch.linalg.cross(sign * lower, hinge, dim=-1)), -1)
+    lengths = subject.length("left_elbow"), subject.length("left_wrist")
+    *bones, axis, _ = two_bone(shoulder, target, -sign * swing, *lengths, ease)
+    frames = ((sign * bone, -sign * axis, torch.linalg.cross(sign * bone, -sign * axis, dim=-1)) for bone in bones)
+    upper_rot, lower_rot = (torch.stack(frame, -1) for frame in frames)
     used = (grip > 0)[..., None]
     at, elbow = name(f"{side}_shoulder"), name(f"{side}_elbow")
     rot[:, at] = torch.where(used, orientations[:, name(f"{side}_collar")].mT @ upper_rot, rot[:, at])
@@ -260,20 +247,11 @@ def _settle(pelvis: Tensor, rot: Tensor, c: dict[str, Tensor], subject: Subject)
     if not weight.any():
         return pelvis
     skeleton = subject.skeleton.to(torch.float64)
-    positions, world = fk(skeleton, pelvis, rot)
-    heights = positions[..., 2]
-    radius = torch.tensor(list(RADIUS.values()), dtype=torch.float64)
-    held = {f"{side}_{part}": c[f"{side}_grip"] for side in SIDES for part in ("elbow", "wrist")}
-    clear = [heights[:, skeleton.indices(list(RADIUS))] - radius]
-    clear[0] = clear[0] + torch.stack([held.get(joint, torch.zeros_like(weight)) for joint in RADIUS], -1)
+    above = clearance(skeleton, *fk(skeleton, pelvis, rot))
     for side in SIDES:
-        ankle, ball = skeleton.index(f"{side}_ankle"), skeleton.index(f"{side}_foot")
-        heel = torch.tensor([0.0, float(skeleton.offsets[ball, 1]) - skeleton.sole, -HEEL], dtype=torch.float64)
-        toes = torch.tensor([0.0, -skeleton.sole, 0.06], dtype=torch.float64)
-        points = heights[:, ankle] + world[:, ankle, 2] @ heel, heights[:, ball] + world[:, ball, 2] @ toes
-        clear.append(torch.stack((*points, heights[:, ball] - skeleton.sole), -1))
-    clearance = soft_min(torch.cat(clear, -1), 0.006)
-    return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * clearance)[:, None]), -1)
+        for part in ("elbow", "wrist"):
+            above[:, list(RADIUS).index(f"{side}_{part}")] += c[f"{side}_grip"]
+    return torch.cat((pelvis[:, :2], (pelvis[:, 2] - weight * soft_min(above, 0.006))[:, None]), -1)
 
 
 # ----------------------------------------------------------------------------------------------- what is known of it
@@ -281,8 +259,7 @@ def _planned_contacts(score: Score, t: Tensor) -> Tensor:
     """Contacts (T, C) of the joints that the score plants."""
     names = score.subject.skeleton.contact_names
     contacts = torch.zeros(len(t), len(names), dtype=torch.float64)
-    open_ended = [(joint, start, math.inf) for joint, start in score.planted.items()]
-    for joint, start, stop in [*score.contacts, *open_ended]:
+    for joint, start, stop in [*score.contacts, *((joint, start, math.inf) for joint, start in score.planted.items())]:
         contacts[(t >= start - 1e-9) & (t <= stop + 1e-9), names.index(joint)] = 1
     return contacts
 
@@ -307,11 +284,9 @@ def _course(score: Score, t: Tensor) -> tuple[tuple[str, ...], Tensor]:
     """Label and phase of every frame; the innermost action that covers a frame names it."""
     labels, phase = ["idle"] * len(t), torch.zeros(len(t))
     for start, stop, label in sorted(score.labels, key=lambda mark: mark[0] - mark[1]):
-        inside = ((t >= start - 1e-9) & (t < stop - 1e-9)).nonzero()[:, 0].tolist()
-        for i in inside:
-            labels[i] = label
-        if inside:
-            phase[inside] = ((t[inside] - start) / (stop - start)).clamp(0, 0.9999).float()
+        inside = (t >= start - 1e-9) & (t < stop - 1e-9)
+        labels = [label if here else was for here, was in zip(inside.tolist(), labels, strict=True)]
+        phase[inside] = ((t[inside] - start) / (stop - start)).clamp(0, 0.9999).float()
     for (start, cycle), (stop, after) in pairwise(sorted(score.gait)):
         if after > cycle:
             inside = (t >= start) & (t < stop)

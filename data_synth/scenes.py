@@ -1,10 +1,6 @@
 """The lab videos of the thesis as scenes with truth: two seconds of somebody, a camera, what stands in the way, what
 the detector says, and what it gets wrong.
 
->>> scene = film("sitting, legs hidden", count=8)  # doctest: +SKIP
->>> scene.observation, scene.cameras  # what a fit may see  # doctest: +SKIP
->>> scene.truth, scene.seen  # what only a judge may see  # doctest: +SKIP
-
 Nobody in them is in the training corpus: the subject that it holds out, and people drawn here.
 Source: thesis 3.2 ("a variety of motion; fast, slow, abnormal, and with occlusions"), Figs. 3.2, 3.3 and 3.5.
 """
@@ -29,14 +25,10 @@ from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 
 #: The keypoints that show each of the 22 joints; a joint is seen where one of them is detected.
-SHOWN_BY = {
-    "pelvis": ("mid_hip",), "spine1": ("mid_hip", "neck"), "spine2": ("mid_hip", "neck"), "spine3": ("neck",),
-    "neck": ("neck",), "head": ("nose", "left_ear", "right_ear"),
-} | {
-    f"{side}_{joint}": (f"{side}_{point}",)
-    for side in ("left", "right")
-    for joint, point in (("hip", "hip"), ("knee", "knee"), ("ankle", "ankle"), ("foot", "big_toe"),
-                         ("collar", "shoulder"), ("shoulder", "shoulder"), ("elbow", "elbow"), ("wrist", "wrist"))
+SHOWN_BY = {joint: (point,) for point, joint in capture.JOINTS.items()} | {
+    "spine1": ("mid_hip", "neck"), "spine2": ("mid_hip", "neck"), "spine3": ("neck",),
+    "head": ("nose", "left_ear", "right_ear"), "left_collar": ("left_shoulder",), "right_collar": ("right_shoulder",),
+    "left_foot": ("left_big_toe",), "right_foot": ("right_big_toe",),
 }  # fmt: skip
 
 
@@ -64,16 +56,14 @@ class Scene:
 
     def clip(self, index: int) -> Observation2D:
         """One clip's observation with its camera."""
-        o = self.observation
-        return replace(
-            o, keypoints=o.keypoints[index], confidence=o.confidence[index], camera=self.cameras[index], name=self.name
-        )
+        o, camera = self.observation, self.cameras[index]
+        return replace(o, keypoints=o.keypoints[index], confidence=o.confidence[index], camera=camera, name=self.name)
 
 
 def person(index: int, generator: torch.Generator) -> Subject:
     """Somebody the corpus does not know: the first is the subject that it holds out, the others are drawn."""
     if index == 0:
-        return next(s for s in SUBJECTS if s.name == "dee")
+        return SUBJECTS[-1]
     around = partial(uniform, generator)
     parts = ("thigh", "shin", "trunk", "shoulders", "arm", "forearm", "hips")
     skeleton = proportioned(around(0.94, 1.07), **{part: around(0.95, 1.05) for part in parts})
@@ -104,16 +94,11 @@ def film_recorded(view: str, motions: Sequence[Motion], *, seed: int = 0, facing
     motion has the same camera and noise in every view.
 
     facing: the camera stands within 45 degrees of where the person looks at the middle frame, else anywhere.
-
-    Raises:
-        KeyError: no such view; lists them.
     """
-    if view not in VIEWS:
-        raise KeyError(f"no view {view!r}; views are {', '.join(VIEWS)}")
     shots = []
     for index, motion in enumerate(motions):
         generator = _generator(seed, "recorded", index)
-        where = {"azimuth": (_facing(motion) - 45.0, _facing(motion) + 45.0)} if facing else {}
+        where = {"around": _facing(motion), "by": 45.0} if facing else {}
         camera = capture.frame_motion(motion, generator, stand=(1.1, 1.8), **where)
         shots.append((motion, camera, VIEWS[view](motion, camera), generator))
     return _filmed(view, shots, None, seed)
@@ -121,22 +106,18 @@ def film_recorded(view: str, motions: Sequence[Motion], *, seed: int = 0, facing
 
 def _filmed(case: str, takes: Sequence[tuple], failure: Callable | None, seed: int) -> Scene:
     """The scene of takes: motion, camera, what stands in the way, and the generator of the detector's noise."""
-    flesh, shots = _flesh(), []
+    shots = []
     for index, (motion, camera, things, generator) in enumerate(takes):
-        shot = capture.observe(motion, flesh, camera, generator, things)
+        shot = capture.observe(motion, _flesh(), camera, generator, things)
         clean = shot.observation
         own = _generator(seed, case, index)  # a failure does not disturb the draws of the shooting
-        observation, wrong = failure(clean, own) if failure else (clean, torch.zeros_like(clean.visible))
-        shots.append((motion, camera, tuple(things), clean.visible, observation, wrong, shot.truth.pixels))
-    motions, cameras, things, clean, observed, wrong, pixels = zip(*shots, strict=True)
-    observation = Observation2D(
-        torch.stack([o.keypoints for o in observed]), torch.stack([o.confidence for o in observed]), BODY_25,
-        observed[0].fps, None, case,
-    )  # fmt: skip
-    return Scene(
-        case, together(motions), observation, tuple(cameras), torch.stack(pixels),
-        joints_seen(torch.stack(clean), motions[0].skeleton.names), torch.stack(wrong), tuple(things),
-    )  # fmt: skip
+        seen, wrong = failure(clean, own) if failure else (clean, torch.zeros_like(clean.visible))
+        shots.append((clean.visible, seen.keypoints, seen.confidence, wrong, shot.truth.pixels))
+    visible, keypoints, confidence, wrong, pixels = map(torch.stack, zip(*shots, strict=True))
+    motions, cameras, things, _ = zip(*takes, strict=True)
+    observation = Observation2D(keypoints, confidence, BODY_25, motions[0].fps, None, case)
+    seen = joints_seen(visible, motions[0].skeleton.names)
+    return Scene(case, together(motions), observation, cameras, pixels, seen, wrong, tuple(map(tuple, things)))
 
 
 def without(scene: Scene, frames: Iterable[int]) -> Scene:
@@ -160,9 +141,8 @@ def gap_frames(place: str, length: int, frames: int = 60) -> list[int]:
 def held_out(count: int, *, seed: int = 0, frames: int = 60) -> Motion:
     """``count`` clips (B, T) of everyday motion by people that the corpus does not know, for fits in 3-D."""
     actions = ("walk", "reach", "sit", "turn", "wave", "crouch", "walk", "dance")
-    return together(
-        [_window(actions[i % len(actions)], i, _generator(seed, "held out", i), frames) for i in range(count)]
-    )
+    draws = [_generator(seed, "held out", i) for i in range(count)]
+    return together([_window(actions[i % len(actions)], i, draw, frames) for i, draw in enumerate(draws)])
 
 
 def together(motions: Sequence[Motion]) -> Motion:
@@ -193,7 +173,7 @@ def _easy(index: int, generator: torch.Generator, frames: int) -> Shot:
 def _facing_it(index: int, generator: torch.Generator, frames: int) -> Shot:
     """Easy, and filmed from the front: where the official start of a fit is not wrong to begin with."""
     motion = _window(("walk", "reach", "wave", "idle")[index % 4], index, generator, frames)
-    return motion, _camera(motion, generator, around=_facing(motion), by=45.0), ()
+    return motion, capture.frame_motion(motion, generator, around=_facing(motion), by=45.0), ()
 
 
 def _walking(index: int, generator: torch.Generator, frames: int) -> Shot:
@@ -204,14 +184,14 @@ def _walking(index: int, generator: torch.Generator, frames: int) -> Shot:
 def _sitting(index: int, generator: torch.Generator, frames: int) -> Shot:
     """Sitting down behind a desk that hides whatever is below 0.65 m: the legs from the first frame."""
     motion = _window("sit", index, generator, frames, seconds=1.0)
-    camera = _camera(motion, generator, around=_facing(motion), by=60.0, stand=(1.1, 1.8))
+    camera = capture.frame_motion(motion, generator, around=_facing(motion), by=60.0, stand=(1.1, 1.8))
     return motion, camera, (desk_before(motion, camera, hidden=0.65),)
 
 
 def _passing(index: int, generator: torch.Generator, frames: int) -> Shot:
     """Walking across the view; from a third of the clip on, a low wall hides the legs."""
     motion = _window("walk", index, generator, frames, speed=1.2)
-    camera = _camera(motion, generator, around=_across(motion, index), by=25.0, stand=(1.2, 1.8))
+    camera = capture.frame_motion(motion, generator, around=_across(motion, index), by=25.0, stand=(1.2, 1.8))
     return motion, camera, (_low_wall(motion, camera, frames // 3),)
 
 
@@ -227,7 +207,7 @@ def _rolling(index: int, generator: torch.Generator, frames: int) -> Shot:
 
 def _tumbling(index: int, generator: torch.Generator, frames: int) -> Shot:
     motion = tumble(person(index, generator), generator, frames=frames)
-    return motion, _camera(motion, generator, around=_across(motion, index), by=40.0), ()
+    return motion, capture.frame_motion(motion, generator, around=_across(motion, index), by=40.0), ()
 
 
 #: Case -> how it is shot, and what the detector then gets wrong.
@@ -297,10 +277,6 @@ def _across(motion: Motion, index: int) -> float:
     """Direction across the way that somebody goes, degrees from the world's +x; to the left of it every other time."""
     way = motion.root[-1] - motion.root[0]
     return math.degrees(math.atan2(way[1], way[0])) + (90.0 if index % 2 else -90.0)
-
-
-def _camera(motion: Motion, generator: torch.Generator, *, around: float, by: float, stand=(0.8, 2.2)) -> Camera:
-    return capture.frame_motion(motion, generator, azimuth=(around - by, around + by), stand=stand)
 
 
 def _low_wall(motion: Motion, camera: Camera, start: int) -> Occluder:

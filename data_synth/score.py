@@ -15,7 +15,7 @@ import torch
 from data_synth.curves import MINIMUM_JERK, quintic
 from data_synth.subjects import Subject
 
-SIDES = ("left", "right")
+SIDES, BOTH = ("left", "right"), "both"
 #: +1 where left is positive (x of the rest frame).
 SIGN = {"left": 1.0, "right": -1.0}
 
@@ -31,6 +31,10 @@ SIDED = (
 )  # fmt: skip
 #: All channels: metres, radians, or weights between 0 and 1 (steady, settle, air, bent, low, grip, kneel, loose).
 CHANNELS = _BODY + tuple(f"{side}_{name}" for name in SIDED for side in SIDES)
+
+
+def _of(side: str, *parts: str) -> list[str]:
+    return [f"{each}_{part}" for part in parts for each in (SIDES if side == BOTH else (side,))]
 
 
 def uniform(generator: torch.Generator, low: float, high: float) -> float:
@@ -124,17 +128,17 @@ class Score:
             self.move(channel, value, start, duration)
 
     def limb(self, side: str, start: float, duration: float, **to: float) -> None:
-        """Several channels of one side at once."""
-        self.pose(start, duration, **{f"{side}_{name}": value for name, value in to.items()})
+        """Several channels of one side at once, or of BOTH."""
+        self.pose(start, duration, **{name: value for part, value in to.items() for name in _of(side, part)})
 
     def plant(self, side: str, start: float, *parts: str) -> None:
-        """Contact joints of a side touch down at a time, those that do not stand already."""
-        for part in parts:
-            self.planted.setdefault(f"{side}_{part}", start)
+        """Contact joints of a side, or of BOTH, touch down at a time, those that do not stand already."""
+        for joint in _of(side, *parts):
+            self.planted.setdefault(joint, start)
 
     def release(self, side: str, stop: float, *parts: str) -> None:
-        """Contact joints of a side leave the floor at a time."""
-        for joint in (f"{side}_{part}" for part in parts):
+        """Contact joints of a side, or of BOTH, leave the floor at a time."""
+        for joint in _of(side, *parts):
             if joint in self.planted:
                 self.contacts.append((joint, self.planted.pop(joint), stop))
 
@@ -147,7 +151,7 @@ class Score:
 
     def step(
         self, side: str, to: tuple[float, float], yaw: float, lift: float, land: float, *,
-        height: float = 0.05, heel: float = 0.35, toe: float = 0.0, early: float = 0.15, late: float = 0.1,
+        height: float, heel: float, toe: float = 0.0, early: float, late: float = 0.1,
         shape: tuple[float, float, float] | None = None, rise: float = 0.45, fall: float = 0.55,
     ) -> None:  # fmt: skip
         """Move a foot from where it stands to another place.
@@ -168,10 +172,8 @@ class Score:
                 self.knots(channel, [(lift, start, 0.0, 0.0), middle, (land, value, 0.0, 0.0)])
         self.move(f"{side}_foot_yaw", yaw, lift, swing)
         self.pulse(f"{side}_lift", height, lift, rise * swing, fall * swing)
-        if heel:
-            self.pulse(f"{side}_heel", heel, lift - early, early + 0.2 * swing, 0.55 * swing)
-        if toe:
-            self.pulse(f"{side}_toe", toe, lift + 0.45 * swing, 0.5 * swing, 0.05 * swing + late)
-        self.release(side, lift - early if heel else lift, "ankle")
+        self.pulse(f"{side}_heel", heel, lift - early, early + 0.2 * swing, 0.55 * swing)
+        self.pulse(f"{side}_toe", toe, lift + 0.45 * swing, 0.5 * swing, 0.05 * swing + late)
+        self.release(side, lift - early, "ankle")
         self.release(side, lift, "foot")
         self.plant(side, land + late if toe else land, "ankle", "foot")

@@ -1,7 +1,7 @@
 """Lines of sight: how far before a point a mesh is in the way, for many frames in one ray-casting scene."""
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -11,13 +11,11 @@ from torch import Tensor
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from motionlab.body import BodyModel
-from motionlab.errors import check_shape
 
 FACES_AT_ONCE = 1_000_000  # per scene: bounds memory on long clips
 
 
-@dataclass(frozen=True, eq=False)
-class Shell:
+class Shell(NamedTuple):
     """A coarser skin of a body whose vertices are some of the body's own.
 
     vertices (N,): indices into the body's. faces (F, 3): indices into ``vertices``. carrier (F,): the
@@ -52,8 +50,6 @@ def gap_to(vertices: Tensor, faces: Tensor, eye: Tensor, targets: Tensor) -> tup
     vertices (T, V, 3), eye (3,), targets (T, N, 3): metres. Returns the gap (T, N) in metres, positive where something
     is in the way and -1 where nothing is, and the face met (T, N), 0 where none.
     """
-    sizes = check_shape(targets, "T N 3", "targets")
-    check_shape(vertices, f"{sizes['T']} V 3", "vertices")
     chunk = max(1, FACES_AT_ONCE // len(faces))
     parts = [
         _gap(v.double().numpy(), faces.numpy(), eye.double().numpy(), p.double().numpy())
@@ -69,11 +65,9 @@ def _gap(vertices: np.ndarray, faces: np.ndarray, eye: np.ndarray, targets: np.n
     cell = np.ptp(everything, axis=0).max() + 1.0
     side = int(np.ceil(frames ** (1 / 3)))
     shift = cell * np.stack(np.unravel_index(np.arange(frames), (side,) * 3), -1)  # (T, 3)
-    mesh = trimesh.Trimesh(
-        (vertices + shift[:, None]).reshape(-1, 3),
-        (faces + vertices.shape[1] * np.arange(frames)[:, None, None]).reshape(-1, 3),
-        process=False,
-    )
+    places = (vertices + shift[:, None]).reshape(-1, 3)
+    triangles = (faces + vertices.shape[1] * np.arange(frames)[:, None, None]).reshape(-1, 3)
+    mesh = trimesh.Trimesh(places, triangles, process=False)
     origins = np.broadcast_to((eye + shift)[:, None], targets.shape).reshape(-1, 3)
     rays = (targets - eye).reshape(-1, 3)
     reach = np.linalg.norm(rays, axis=1)

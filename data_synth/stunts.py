@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import torch
-from torch.nn import functional as F
+from torch.nn import functional
 
 from data_synth.actions import ACTIONS
 from data_synth.curves import ramp
@@ -40,8 +40,7 @@ def tumble(subject: Subject, generator: torch.Generator, *, frames: int = 60) ->
     blend = (4 * s).clamp(max=1).float()
     rot = rotation.slerp(pose.expand(count, -1, 3, 3), tucked.expand(count, -1, 3, 3), blend[:, None])
     rot[:, 0] = rotation.exp(angle[:, None] * left) @ pose[0]
-    forward = torch.linalg.cross(left, torch.tensor([0.0, 0.0, 1.0]))
-    forward = forward / forward.norm()
+    forward = functional.normalize(torch.linalg.cross(left, torch.tensor([0.0, 0.0, 1.0])), dim=0)
     root = start.root[-1] + 0.3 * angle[:, None] * forward
     motion = replace(
         start, root=torch.cat((start.root, root)), rot=torch.cat((start.rot, rot)),
@@ -55,6 +54,6 @@ def _grounded(motion: Motion, ready: int) -> torch.Tensor:
     lift = FLESH - motion.positions[..., 2].amin(-1)
     lift[:ready] = 0.0
     window = torch.hann_window(9, periodic=False)[1:-1]
-    padded = F.pad(lift[None, None], (3, 3), mode="replicate")
-    smooth = F.conv1d(padded, (window / window.sum())[None, None])[0, 0]
-    return motion.root + F.pad(smooth[:, None], (2, 0))
+    padded = functional.pad(lift[None, None], (3, 3), mode="replicate")
+    smooth = functional.conv1d(padded, (window / window.sum())[None, None])[0, 0]
+    return motion.root + functional.pad(smooth[:, None], (2, 0))

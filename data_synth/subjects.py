@@ -49,11 +49,6 @@ class Subject:
         return self.length("left_knee") + self.length("left_ankle")
 
     @property
-    def arm(self) -> float:
-        """Shoulder to wrist, metres."""
-        return self.length("left_elbow") + self.length("left_wrist")
-
-    @property
     def ankle(self) -> float:
         """Height of the ankle joint above the floor under a flat foot, metres."""
         return float(self.skeleton.sole - self.skeleton.offsets[self.skeleton.index("left_foot"), 1])
@@ -70,11 +65,7 @@ class Subject:
 
 
 def proportioned(scale: float = 1.0, **segments: float) -> Skeleton:
-    """STANDARD times ``scale``, each named segment of SEGMENTS times its own factor as well.
-
-    Raises:
-        KeyError: no such segment.
-    """
+    """STANDARD times ``scale``, each named segment of SEGMENTS times its own factor as well."""
     factor = torch.full((len(STANDARD), 1), scale)
     for segment, value in segments.items():
         factor[STANDARD.indices(list(SEGMENTS[segment]))] *= value

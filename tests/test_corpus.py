@@ -8,7 +8,6 @@ import torch
 from data_synth import corpus
 from data_synth.audit import audit
 from data_synth.corpus import Recipe, build
-from motionlab.errors import ShapeError
 
 SMALL = Recipe(sequences=5, seconds=15.0, heldout=(3,))
 
@@ -51,11 +50,6 @@ def test_version_a_is_b_without_travel():
         assert torch.equal(one.motion.rot, two.motion.rot)
         assert torch.equal(one.motion.root[:, 2], two.motion.root[:, 2])
         assert (one.motion.root[:, :2] == 0).all() and two.motion.root[:, :2].std(0).min() > 0
-
-
-def test_versions_other_than_a_and_b_are_refused():
-    with pytest.raises(ShapeError, match="version"):
-        build(version="C")
 
 
 def test_seed_decides_and_the_cache_is_exact(monkeypatch):

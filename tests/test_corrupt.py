@@ -1,12 +1,9 @@
 """Corruptions: the mask says exactly what changed, the original stays, and each failure is the one it names."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
 from data_synth import corrupt
-from motionlab.errors import ShapeError
 from motionlab.observation import BODY_25, Observation2D, look_at
 from tests.draws import seeded
 
@@ -37,7 +34,7 @@ POINTS = torch.rand(3, 60, 25, 3, generator=seeded(1)) * 1.8
 DRAWN = {
     "flips": lambda o, g: corrupt.flip_limbs(o, g, 0.3, 5),
     "two legs": lambda o, g: corrupt.two_legs_from_one(o, g),
-    "background": lambda o, g: corrupt.false_detections(o, g, 0.2),
+    "background": lambda o, g: corrupt.false_detections(o, g, 0.2, 5),
 }
 FIXED = {
     "below": lambda o, g: corrupt.occlude_below(o, POINTS),
@@ -106,11 +103,6 @@ def test_false_detections_are_confident_wrong_and_sticky():
     assert (after.keypoints - before.keypoints).norm(dim=-1)[mask].median() > 100
     knee = after.keypoints[mask[:, 10], 10]
     assert knee.std(0).max() < 2, "it sits in one place"
-
-
-def test_without_a_camera_there_is_no_background():
-    with pytest.raises(ShapeError, match="camera"):
-        corrupt.false_detections(replace(observed(), camera=None), seeded())
 
 
 @pytest.mark.parametrize("share, length", [(0.0, 3), (0.25, 1), (0.5, 6), (1.0, 2)])

@@ -8,6 +8,7 @@ from motionlab.errors import DataError
 from motionlab.metrics import intervals
 from suite import findings, staleness
 from suite.findings import FAILS, HOLDS, UNJUDGED, Criterion, Finding, Record
+from tests.test_staleness import ledger
 
 
 def criterion(relation=">=", bound=1.0, **kw):
@@ -106,29 +107,13 @@ def test_a_broken_record_names_the_file(tmp_path, text):
         findings.load_record(tmp_path / "02.json")
 
 
-CLAIM = """
-[[claim]]
-id = "H00"
-section = "1"
-title = "t"
-thesis = "words"
-notebook = "00"
-"""
-TEST = """
-[claim.test.x]
-definition = "d"
-unit = "mm"
-relation = ">="
-bound = 1.0
-baseline = "b"
-"""
+CLAIM, WHOLE_CLAIM = ledger(), ledger(x="")
 
 
 def test_ledger_reads(tmp_path):
-    (tmp_path / "claims.toml").write_text(CLAIM + TEST)
+    (tmp_path / "claims.toml").write_text(WHOLE_CLAIM)
     claim = findings.load_claims(tmp_path / "claims.toml")["H00"]
-    assert claim.tests[0].id == "H00.x"
-    assert claim.tests[0].bound_text() == ">= 1 mm"
+    assert claim.tests[0].id == "H00.x" and claim.tests[0].bound_text() == "<= 1 m"
 
 
 @pytest.mark.parametrize(
@@ -137,10 +122,10 @@ def test_ledger_reads(tmp_path):
         "[[claim",
         CLAIM + CLAIM,
         CLAIM.replace("title", "headline"),
-        CLAIM + TEST.replace(">=", ">"),
-        CLAIM + TEST.replace('unit = "mm"\n', ""),
-        CLAIM + TEST + 'role = "jury"\n',
-        CLAIM + 'carriers = ["y"]' + TEST,
+        WHOLE_CLAIM.replace("<=", "<"),
+        WHOLE_CLAIM.replace('unit = "m"\n', ""),
+        ledger(x='role = "jury"'),
+        WHOLE_CLAIM.replace("[claim.test", 'carriers = ["y"]\n[claim.test'),
     ],
     ids=["not TOML", "id twice", "unknown field", "unknown relation", "no unit", "unknown role", "unknown carrier"],
 )

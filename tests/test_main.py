@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from unittest.mock import Mock
 
+import nbformat
 import pytest
 import torch
 
@@ -22,31 +23,22 @@ from suite import execute, findings, pages, report, staleness
 from tests.figures import standing
 
 
-def notebook(*sources, **metadata):
-    import nbformat  # takes seconds to load
-
-    book = nbformat.v4.new_notebook(
-        metadata={"kernelspec": {"name": "python3", "display_name": "Python 3"}, **metadata}
-    )
-    book.cells = [nbformat.v4.new_code_cell(source) for source in sources]
-    return book
+def write_notebook(path, *sources):
+    kernel = {"kernelspec": {"name": "python3", "display_name": "Python 3"}}
+    cells = [nbformat.v4.new_code_cell(source) for source in sources]
+    nbformat.write(nbformat.v4.new_notebook(metadata=kernel, cells=cells), path)
 
 
 @pytest.fixture
 def suite(tmp_path, monkeypatch):
     """A suite of two notebooks, the first of which fails, with a ledger and one recorded finding."""
-    import nbformat
-
     folder = tmp_path / "notebooks"
     (folder / "results").mkdir(parents=True)
-    nbformat.write(notebook("x = 1", "1 / 0", "print('never')"), folder / "00_fails.ipynb")
-    nbformat.write(
-        notebook("import os", "print(os.environ['MOTIONLAB_PROFILE'], os.getcwd())"), folder / "01_runs.ipynb"
-    )
+    write_notebook(folder / "00_fails.ipynb", "x = 1", "1 / 0", "print('never')")
+    write_notebook(folder / "01_runs.ipynb", "import os", "print(os.environ['MOTIONLAB_PROFILE'], os.getcwd())")
     (folder / "claims.toml").write_text(LEDGER, encoding="utf-8")
-    finding = findings.Finding(
-        "X01.size", "synthetic", 4.0, 3.0, 5.0, 9, "cm", "mean", ">= 2 cm", "holds", "01_runs", "full"
-    )
+    measured = "X01.size", "synthetic", 4.0, 3.0, 5.0, 9, "cm", "mean", ">= 2 cm", "holds"
+    finding = findings.Finding(*measured, "01_runs", "full")
     findings.save_record(folder / "results" / "01.json", findings.Record("01_runs", "", (finding,)))
     monkeypatch.setattr(execute, "NOTEBOOKS", folder)
     return folder
@@ -58,7 +50,7 @@ id = "X01"
 section = "3.3.2"
 title = "Size <matters>"
 thesis = "it does"
-notebook = "01_runs"
+notebook = "01"
 [claim.test.size]
 definition = "size"
 unit = "cm"
@@ -77,7 +69,7 @@ notebook = "02"
 def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path, capsys):
     before = dict(os.environ)
     runs = report.write_report(tmp_path / "report", "smoke")
-    assert [(run.notebook, run.status()) for run in runs] == [("00_fails", "failed at cell 2"), ("01_runs", "ran")]
+    assert [(run.notebook, run.status) for run in runs] == [("00_fails", "failed at cell 2"), ("01_runs", "ran")]
     assert "ZeroDivisionError" in runs[0].error and "00_fails: Run today" in capsys.readouterr().out
     index = (tmp_path / "report/index.html").read_text(encoding="utf-8")
     assert 'href="01_runs.html"' in index and "Size &lt;matters&gt;" in index and "not measured yet" in index
@@ -86,7 +78,6 @@ def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path, capsy
     page = (tmp_path / "report/01_runs.html").read_text(encoding="utf-8")
     assert "no numbers are on record" in page and f"smoke {suite}" not in page  # what a short run shows stays out
     assert dict(os.environ) == before
-    assert "1 of 2 notebooks ran" in execute.run_summary(runs)
 
 
 def test_a_full_run_shows_its_own_notebooks_where_they_ran_to_their_end(suite, tmp_path, capsys):
@@ -111,7 +102,7 @@ def test_a_page_says_whether_todays_numbers_are_those_on_record(suite, tmp_path,
     findings.save_record(suite / "results/01.json", replace(record, fingerprint=marks))
     now = {name: staleness.mark(value) for name, value in measured.items()}
     findings.save_record(tmp_path / "out/today/results/01.json", replace(record, findings=(), fingerprint=now))
-    report.build(tmp_path / "out", [execute.Run("01_runs", 1.0)])
+    report.build(tmp_path / "out", [execute.Run("01_runs")])
     page = (tmp_path / "out/01_runs.html").read_text(encoding="utf-8")
     assert said in page and ("X01.size was 4, is 5" in page) == (measured.get("X01.size") == 5.0)
     assert "Not checked today" in (tmp_path / "out/00_fails.html").read_text(encoding="utf-8")
@@ -120,9 +111,10 @@ def test_a_page_says_whether_todays_numbers_are_those_on_record(suite, tmp_path,
 def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     failed_before = (suite / "00_fails.ipynb").read_bytes()
     taken = []
-    monkeypatch.setattr(execute, "_write_fingerprint", lambda path, *_: taken.append(path.stem))
+    take = lambda path, again: taken.append(path.stem) or execute.Run(path.stem)  # noqa: E731
+    monkeypatch.setattr(execute, "take_fingerprint", take)
     runs = execute.regenerate()
-    assert [run.ok for run in runs] == [False, True] and taken == ["01_runs"]
+    assert [run.status for run in runs] == ["failed at cell 2", "ran"] and taken == ["01_runs"]
     assert (suite / "00_fails.ipynb").read_bytes() == failed_before
     first = (suite / "01_runs.ipynb").read_bytes()
     book = json.loads(first)
@@ -138,9 +130,8 @@ def test_notebooks_run_side_by_side_and_the_longest_begins_first(suite, tmp_path
     findings.save_record(suite / "results/00.json", replace(record, provenance={"smoke seconds": "3"}))
     findings.save_record(suite / "results/01.json", replace(record, provenance={"smoke seconds": "30"}))
     jobs = [(path, tmp_path / path.name) for path in execute.find_notebooks()]
-    seen = []
-    runs = execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, done=seen.append)
-    assert [run.notebook for run in runs] == ["00_fails", "01_runs"] and seen == runs[::-1]
+    execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, ran := [])
+    assert [run.notebook for run in ran] == ["01_runs", "00_fails"]
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("[1/2] 01_runs") and lines[0].endswith("ran") and "failed at cell 2" in lines[1]
 
@@ -149,18 +140,17 @@ def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatc
     path = suite / "01_runs.ipynb"
     marks = {"size": staleness.mark(4.0)}
     smoke = findings.Record("01_runs", "", (), {"seconds": "2"}, marks)
-    monkeypatch.setattr(execute, "_measured", lambda path, environment, others: [smoke, smoke])
+    monkeypatch.setattr(execute, "_measured", lambda path, data, others: [smoke, smoke])
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     before = findings.load_record(suite / "results/01.json")
-    execute._write_fingerprint(path)
+    assert not execute.take_fingerprint(path).error
     record = findings.load_record(suite / "results/01.json")
     assert record.fingerprint == marks and record.findings == before.findings
     assert record.source_hash == staleness.code_hash(path) and record.provenance["smoke seconds"] == "2"
     smoke = replace(smoke, fingerprint={"size": staleness.mark(5.0)})
-    with pytest.raises(staleness.StaleRecord, match="size was 4, is 5"):
-        execute._write_fingerprint(path)
-    assert not execute.take_fingerprints(["01"])[0].ok
-    execute._write_fingerprint(path, again=True)
+    assert "size was 4, is 5" in execute.take_fingerprint(path).error
+    assert suite_main.main(["regenerate", "--fingerprints", "01"]) == 1
+    assert suite_main.main(["regenerate", "--fingerprints", "--again", "01"]) == 0
     assert findings.load_record(suite / "results/01.json").fingerprint["size"].value == 5.0
 
 

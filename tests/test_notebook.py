@@ -1,5 +1,3 @@
-import json
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -9,7 +7,7 @@ from IPython.display import HTML
 from motionlab.errors import DataError
 from suite import findings, notebook
 from suite.findings import FAILS, HOLDS, UNJUDGED
-from tests.test_staleness import ledger
+from tests.test_staleness import ledger, write_cells
 
 LEDGER = ledger(quick="", slow='needs = ["full"]').replace("<=", ">=")
 BUDGETS = {"smoke": {"clips": 2}, "full": {"clips": 20}}
@@ -18,12 +16,11 @@ BUDGETS = {"smoke": {"clips": 2}, "full": {"clips": 20}}
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
     (tmp_path / "claims.toml").write_text(LEDGER)
-    cell = {"cell_type": "code", "source": ["x = 1"], "outputs": []}
-    (tmp_path / "02_x.ipynb").write_text(json.dumps({"cells": [cell]}))
+    write_cells(tmp_path, ["x = 1"])
     monkeypatch.chdir(tmp_path)
-    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS"):
+    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
+    monkeypatch.setenv("MOTIONLAB_RESULTS", str(tmp_path / "results"))
     return lambda profile, **how: notebook.setup("02_x", profile=profile, budgets=BUDGETS, **{"seed": 0} | how)
 
 
@@ -92,19 +89,20 @@ def test_a_full_run_without_recordings_keeps_what_was_measured_on_them(bench, tm
     second.close()
     kept = {(f.test, f.source) for f in findings.load_results(tmp_path / "results")}
     assert kept == {("H00.quick", "synthetic"), ("H00.quick", "cmu_amc")}  # a synthetic row not measured again goes
-    path = tmp_path / "02_x.ipynb"
-    path.write_text(path.read_text().replace("x = 1", "x = 2"))  # other code did not measure the old rows
+    write_cells(tmp_path, ["x = 2"])  # other code did not measure the old rows
     third = bench("full")
     third.record("H00.quick", [5.0, 5.0])
     third.close()
     assert {f.source for f in findings.load_results(tmp_path / "results")} == {"synthetic"}
 
 
-def test_smoke_writes_no_results_unless_asked(bench, tmp_path, monkeypatch):
-    bench("smoke").close()
+@pytest.mark.parametrize("profile", ["smoke", "full"])
+def test_a_run_writes_no_results_unless_asked(bench, tmp_path, monkeypatch, profile):
+    monkeypatch.delenv("MOTIONLAB_RESULTS")
+    bench(profile).close()
     assert not (tmp_path / "results").exists()
     monkeypatch.setenv("MOTIONLAB_RESULTS", str(tmp_path / "elsewhere"))
-    bench("smoke").close()
+    bench(profile).close()
     assert (tmp_path / "elsewhere" / "02.json").exists()
 
 

@@ -7,6 +7,7 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import nbformat
 import pytest
 from PIL import Image
 
@@ -123,13 +124,11 @@ def encoded(colour, kind="PNG"):
 
 def stored(path: Path):
     """A notebook with a plot, a film, code that shows nothing, and an error."""
-    import nbformat  # takes seconds to load
-
     new = nbformat.v4
     poster = f'poster="data:image/jpeg;base64,{encoded("red", "JPEG")}"'
     film = f'<video loop {poster} src="data:video/mp4;base64,AAAA"></video>'
     found = "No. It is *not*, as far as anybody could see by looking at it. More follows. See [02](02_other.ipynb)."
-    cells = [new.new_markdown_cell(f"# 07 · A title\n\n**Question.** Is it $x$?\n\n**We find** (n = 1). {found}")]
+    cells = [new.new_markdown_cell(f"# 07 · A title\n\n**Question.** Is it $x$?\n\n**Answer.** {found}")]
     cells += [new.new_code_cell(code) for code in ("quiet = 1", "draw()", "fail()")]
     said = "text/markdown"
     shown = [("image/png", encoded("blue")), (said, "**Figure 07.1.** A $plot$. Twice.")]

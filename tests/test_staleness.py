@@ -1,9 +1,7 @@
 """A record goes stale when its code measures otherwise, and not when the code is moved, renamed or reworded."""
 
-import importlib
 import json
 import math
-import sys
 from dataclasses import replace
 
 import pytest
@@ -22,42 +20,26 @@ def ledger(**tests: str) -> str:
 
 
 CELLS = [
-    "from toylab import lengths\nfrom suite.notebook import setup",
-    "found = lengths.of_walks()",
+    "from suite.notebook import setup",
+    "found = lengths()",
     "lab.record('H00.length', found, baseline=[1.0])\nlab.record('H00.time', [CLOCK])",
     "lab.fingerprint('longest', max(found))",
 ]
-LIBRARY = '''"""Lengths."""
-
-STEP = 0.5
-
-
-def of_walks():
-    """Six lengths."""
-    return [STEP * k for k in range(6)]
-'''
 
 
 @pytest.fixture
 def suite(tmp_path, monkeypatch):
-    """A notebook that measures with a library of its own; ``run`` runs it, as the smoke run of `make test` does."""
+    """A notebook that measures with a library whose ``step`` may change; run as the smoke run of `make test` is."""
     (tmp_path / "claims.toml").write_text(ledger(length="", time="clock = true"))
-    (tmp_path / "toylab").mkdir()
-    (tmp_path / "toylab/lengths.py").write_text(LIBRARY)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("MOTIONLAB_VERIFY", "1")
-    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS", "MOTIONLAB_RECORD"):
+    for name in ("MOTIONLAB_PROFILE", "MOTIONLAB_DATA", "MOTIONLAB_RESULTS"):
         monkeypatch.delenv(name, raising=False)
     write_cells(tmp_path, CELLS)
 
-    def run(profile="smoke", cells=CELLS, clock=1.0):
-        for name in [name for name in sys.modules if name.startswith("toylab")]:
-            del sys.modules[name]
-        importlib.invalidate_caches()
-        budgets = {"smoke": {}, "full": {}}
-        lab = notebook.setup("02_x", profile=profile, seed=0, budgets=budgets)
-        exec("\n".join(cells), {"lab": lab, "CLOCK": clock})
+    def run(profile="smoke", cells=CELLS, clock=1.0, step=0.5):
+        lab = notebook.setup("02_x", profile=profile, seed=0, budgets={"smoke": {}, "full": {}})
+        exec("\n".join(cells), {"lab": lab, "CLOCK": clock, "lengths": lambda: [step * k for k in range(6)]})
         lab.close()
         return lab
 
@@ -71,14 +53,11 @@ def write_cells(folder, cells):
 
 def stamped(run, folder, monkeypatch):
     """The record of a full run with the fingerprint of a smoke run."""
-    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
-    run("full")
-    monkeypatch.delenv("MOTIONLAB_RECORD")
-    monkeypatch.setenv("MOTIONLAB_RESULTS", str(folder / "smoke"))
-    monkeypatch.delenv("MOTIONLAB_VERIFY")
-    run()
-    monkeypatch.delenv("MOTIONLAB_RESULTS")
-    monkeypatch.setenv("MOTIONLAB_VERIFY", "1")
+    with monkeypatch.context() as patch:
+        patch.delenv("MOTIONLAB_VERIFY")
+        for name, profile in (("results", "full"), ("smoke", "smoke")):
+            patch.setenv("MOTIONLAB_RESULTS", str(folder / name))
+            run(profile)
     path = folder / "results/02.json"
     record, smoke = findings.load_record(path), findings.load_record(folder / "smoke/02.json")
     findings.save_record(path, replace(record, fingerprint=smoke.fingerprint))
@@ -93,9 +72,8 @@ def test_control_the_same_code_is_not_stale(suite, tmp_path, monkeypatch):
 def test_a_changed_constant_of_the_library_makes_the_record_stale(suite, tmp_path, monkeypatch):
     path = stamped(suite, tmp_path, monkeypatch)
     before = path.read_bytes()
-    (tmp_path / "toylab/lengths.py").write_text(LIBRARY.replace("0.5", "0.51"))
     with pytest.raises(staleness.StaleRecord) as caught:
-        suite()
+        suite(step=0.51)
     text = str(caught.value)
     assert "H00.length was 1.25, is 1.275" in text and "longest was 2.5, is 2.55" in text and "H00.time" not in text
     assert "make full NOTEBOOKS=02 (1 min when last run)" in text
@@ -110,18 +88,16 @@ def test_a_test_that_is_not_measured_any_more_makes_it_stale(suite, tmp_path, mo
 
 def test_moving_renaming_and_rewording_do_not(suite, tmp_path, monkeypatch):
     path = stamped(suite, tmp_path, monkeypatch)
-    (tmp_path / "toylab/lengths.py").unlink()
-    moved = LIBRARY.replace('"""Lengths."""', '"""How far people walk."""').replace("Six lengths", "Half a dozen")
-    (tmp_path / "toylab/people.py").write_text(moved)
-    cells = [CELLS[0].replace("import lengths", "import people as lengths"), *CELLS[1:]]
+    cells = [CELLS[0].replace("setup", "setup as begin"), *CELLS[1:]]
     write_cells(tmp_path, cells)
     suite(cells=cells)
     assert findings.load_record(path).source_hash == staleness.code_hash(tmp_path / "02_x.ipynb")
 
 
 def test_a_record_without_fingerprint_says_how_to_take_it(suite, tmp_path, monkeypatch):
-    monkeypatch.setenv("MOTIONLAB_RECORD", "1")
+    monkeypatch.setenv("MOTIONLAB_RESULTS", str(tmp_path / "results"))
     suite("full")
+    monkeypatch.delenv("MOTIONLAB_RESULTS")
     with pytest.raises(staleness.StaleRecord, match="regenerate --fingerprints 02"):
         suite()
 
@@ -168,8 +144,19 @@ def test_imports_and_outputs_are_no_part_of_the_hash_of_a_notebook(tmp_path):
     before = staleness.code_hash(tmp_path / "02_x.ipynb")
     write_cells(tmp_path, ["from elsewhere import (\n    lengths,\n)", *CELLS[1:]])
     assert staleness.code_hash(tmp_path / "02_x.ipynb") == before
-    write_cells(tmp_path, [CELLS[0], CELLS[1].replace("of_walks", "of_runs"), *CELLS[2:]])
+    write_cells(tmp_path, [CELLS[0], CELLS[1].replace("lengths", "widths"), *CELLS[2:]])
     assert staleness.code_hash(tmp_path / "02_x.ipynb") != before
+
+
+LIBRARY = '''"""Lengths."""
+
+STEP = 0.5
+
+
+def of_walks():
+    """Six lengths."""
+    return [STEP * k for k in range(6)]
+'''
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ Every action begins and ends standing at ease, wherever and whichever way the bo
 """
 
 from collections.abc import Callable
-from functools import wraps
+from functools import partial
 
 import torch
 
@@ -22,16 +22,14 @@ WRITERS: dict[str, Callable[..., None]] = {write.__name__: write for write in (
 )}  # fmt: skip
 
 
-def _performed(write: Callable[..., None]) -> Callable[..., Take]:
-    @wraps(write)
-    def act(subject: Subject, generator: torch.Generator, *, fps: float = 30.0, **options) -> Take:
-        score = Score(subject, generator)
-        write(score, **options)
-        return perform(score, fps)
-
-    return act
+def _performed(
+    write: Callable[..., None], subject: Subject, generator: torch.Generator, *, fps: float = 30.0, **options
+) -> Take:
+    score = Score(subject, generator)
+    write(score, **options)
+    return perform(score, fps)
 
 
 #: name -> function(subject, generator, *, fps=30.0, **options) -> Take.
-ACTIONS: dict[str, Callable[..., Take]] = {name: _performed(write) for name, write in WRITERS.items()}
+ACTIONS: dict[str, Callable[..., Take]] = {name: partial(_performed, write) for name, write in WRITERS.items()}
 walk = ACTIONS["walk"]

@@ -13,10 +13,9 @@ SHAPES = {
 }  # fmt: skip
 
 
-def dance(score: Score, *, seconds: float = 6.0, tempo: float | None = None) -> None:
-    """Dance to ``tempo`` beats a minute (drawn if None): phrases of four beats, each phrase with its own moves."""
-    tempo = score.uniform(96, 128) if tempo is None else tempo
-    beat = 60 / tempo
+def dance(score: Score, *, seconds: float = 6.0) -> None:
+    """Dance to 96 to 128 beats a minute: phrases of four beats, each phrase with its own moves."""
+    beat = 60 / score.uniform(96, 128)
     begin = score.now
     with score.action("dance"):
         score.now += beat
@@ -49,17 +48,13 @@ def _groove(score: Score, at: float, beat: float, k: int) -> None:
     dip = v(0.035, 0.075) * s.bounce
     score.move("z", s.standing - 0.025 - dip, at - 0.45 * beat, 0.5 * beat)
     score.move("z", s.standing - 0.025, at + 0.05 * beat, 0.5 * beat)
-    score.move("twist", sign * v(0.08, 0.38), at - 0.5 * beat, 0.7 * beat)
-    score.move("yaw", -sign * v(0.0, 0.14), at - 0.5 * beat, 0.7 * beat)
+    score.pose(at - 0.5 * beat, 0.7 * beat, twist=sign * v(0.08, 0.38), yaw=-sign * v(0.0, 0.14))
     score.move("bend", sign * v(0.0, 0.12), at - 0.5 * beat, 0.7 * beat)
-    score.move("tilt", sign * v(0.02, 0.10), at - 0.5 * beat, 0.8 * beat)
-    score.move("flex", 0.05 + v(0.0, 0.12), at - 0.5 * beat, 0.8 * beat)
+    score.pose(at - 0.5 * beat, 0.8 * beat, tilt=sign * v(0.02, 0.10), flex=0.05 + v(0.0, 0.12))
     score.move("nod", v(0.05, 0.25) * (1 if k % 2 else -0.3), at - 0.4 * beat, 0.6 * beat)
 
 
-def _put(
-    score: Score, side: str, at: float, beat: float, *, outward: float, forward: float, height: float = 0.05
-) -> None:
+def _put(score: Score, side: str, at: float, beat: float, outward: float, forward: float, height: float = 0.05) -> None:
     """A foot lands on the beat."""
     place = score.local(SIGN[side] * (0.75 * score.subject.step_width + outward), forward - 0.035)
     yaw = score.value["heading"] + SIGN[side] * score.subject.toe_out
@@ -89,12 +84,11 @@ def _bounce(score: Score, beat: float) -> None:
 
 def _march(score: Score, beat: float) -> None:
     """Step on the spot with high knees."""
-    side = score.choose(SIDES)
-    for k in range(4):
+    first = score.choose(SIDES)
+    for k, side in enumerate(2 * (first, OTHER[first])):
         at = score.now + k * beat
         score.move("sway", -SIGN[side] * 0.045, at - 0.85 * beat, 0.6 * beat)
         _put(score, side, at, beat, outward=0.0, forward=0.0, height=score.uniform(0.12, 0.24))
-        side = OTHER[side]
     score.move("sway", 0.0, score.now + 3.2 * beat, 0.7 * beat)
 
 
@@ -123,12 +117,10 @@ def _vine(score: Score, beat: float) -> None:
 def _turning(score: Score, beat: float) -> None:
     """A quarter to a half turn in four small steps."""
     angle = score.choose((-1, 1)) * score.uniform(1.2, 3.0)
-    side = "left" if angle > 0 else "right"
-    for k in range(4):
+    for k, side in enumerate(2 * SIDES if angle > 0 else 2 * SIDES[::-1]):
         at = score.now + k * beat
         score.nudge("heading", angle / 4, at - 0.9 * beat, 1.3 * beat)
         _put(score, side, at, beat, outward=0.02, forward=0.0)
-        side = OTHER[side]
 
 
 def _home(score: Score, beat: float) -> None:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from data_synth.score import SIGN, Score
+from data_synth.score import BOTH, SIGN, Score
 
 OTHER = {"left": "right", "right": "left"}
 
@@ -17,7 +17,7 @@ class Gait:
     pelvis up and sideways (it sinks further where the step is long). yaw, twist, tilt: of the pelvis' and the
     trunk's rotations. swing, elbow: of the arms. drop: how much lower than standing. lean: forward lean of the
     trunk. limp: how much one leg is spared, the left one if positive: the trunk leans over it and sinks, and its foot
-    rolls less. give: weight of ``low``: no leg lands straight, the pelvis gives way before one does.
+    rolls less.
     """
 
     duty: float = 0.61
@@ -35,7 +35,6 @@ class Gait:
     drop: float = 0.022
     lean: float = 0.04
     limp: float = 0.0
-    give: float = 0.02
 
 
 def tread(
@@ -47,18 +46,19 @@ def tread(
     before, so that the feet close. The pelvis goes from place to place with overlapping minimum-jerk moves,
     each centred at its heel strike: fastest in double support, as people are.
     """
-    swing_time = (1 - gait.duty) * 2 * step_time
-    start = score.now + 0.30
-    score.move("low", gait.give, score.now, start + swing_time - score.now)
-    _shift(score, first, gait, score.now, start + swing_time)
-    side, strike = first, start + swing_time
+    swing_time, begin = (1 - gait.duty) * 2 * step_time, score.now
+    side, strike = first, begin + 0.30 + swing_time
+    score.move("low", 0.02, begin, strike - begin)  # no leg lands straight
+    # lean over the foot that stays, and sink a little, before the first step
+    score.move("sway", -SIGN[first] * 1.6 * gait.sway, begin, 0.9 * (strike - begin))
+    score.move("z", score.subject.standing - gait.drop, begin, strike - begin)
+    score.pose(begin, 0.6, pitch=0.5 * gait.lean, flex=0.5 * gait.lean)
     parity = 0.0 if first == "left" else 0.5
     was = score.value["x"], score.value["y"]
     for k, ((x, y), heading) in enumerate(zip(centres, headings, strict=True)):
         last = k == len(centres) - 1
         lift = strike - swing_time
-        for channel, to in (("x", x), ("y", y), ("heading", heading)):
-            score.move(channel, to, strike - step_time, 2 * step_time)
+        score.pose(strike - step_time, 2 * step_time, x=x, y=y, heading=heading)
         _footfall(score, side, (x, y), heading, lift, strike, gait, step_time, last=last)
         _body(score, side, strike, step_time, gait, math.dist(was, (x, y)), last=last)
         score.gait.append((strike, parity + 0.5 * k))
@@ -67,21 +67,13 @@ def tread(
     score.now = strike + 0.25
 
 
-def _shift(score: Score, first: str, gait: Gait, start: float, strike: float) -> None:
-    """Lean over the foot that stays, and sink a little, before the first step."""
-    score.move("sway", -SIGN[first] * 1.6 * gait.sway, start, 0.9 * (strike - start))
-    score.move("z", score.subject.standing - gait.drop, start, strike - start)
-    score.pose(start, 0.6, pitch=0.5 * gait.lean, flex=0.5 * gait.lean)
-
-
 def _footfall(score, side, centre, heading, lift, strike, gait, step_time, *, last) -> None:
     half = SIGN[side] * (gait.width if not last else 1.3 * gait.width) / 2
     x = centre[0] - half * math.cos(heading) + 0.035 * math.sin(heading)
     y = centre[1] - half * math.sin(heading) - 0.035 * math.cos(heading)
-    way = math.hypot(x - score.value[f"{side}_foot_x"], y - score.value[f"{side}_foot_y"])
-    ahead = -(x - score.value[f"{side}_foot_x"]) * math.sin(heading) + (y - score.value[f"{side}_foot_y"]) * math.cos(
-        heading
-    )
+    dx, dy = x - score.value[f"{side}_foot_x"], y - score.value[f"{side}_foot_y"]
+    way = math.hypot(dx, dy)
+    ahead = -dx * math.sin(heading) + dy * math.cos(heading)
     size = min(1.0, way / (0.9 * score.subject.leg))  # short steps roll less
     roll = size * (1 - 0.4 * max(0.0, SIGN[side] * gait.limp))
     forward = max(0.0, ahead) / way if way > 1e-6 else 0.0
@@ -107,19 +99,14 @@ def _body(score: Score, side: str, strike: float, step_time: float, gait: Gait, 
     score.move("z", low, strike - 0.50 * step_time, 0.5 * step_time)
     score.move("z", high if not last else s.standing, strike + 0.03 * step_time, 0.5 * step_time * (1 + last))
     score.move("sway", on * sign * (gait.sway + 0.04 * spared) * vary, middle - longer, longer)
-    score.move("yaw", -on * sign * gait.yaw * vary, strike - longer, longer)
-    score.move("twist", on * sign * (gait.yaw + gait.twist) * vary, strike - longer, longer)
-    score.move("tilt", on * sign * gait.tilt * vary, strike - 0.35 * step_time, 0.7 * step_time)
-    score.move(
-        "bend", -on * sign * (0.8 * gait.tilt + 0.25 * spared) * vary, strike - 0.35 * step_time, 0.7 * step_time
-    )
+    yaw, twist = -on * sign * gait.yaw * vary, on * sign * (gait.yaw + gait.twist) * vary
+    score.pose(strike - longer, longer, yaw=yaw, twist=twist)
+    tilt, bend = on * sign * gait.tilt * vary, -on * sign * (0.8 * gait.tilt + 0.25 * spared) * vary
+    score.pose(strike - 0.35 * step_time, 0.7 * step_time, tilt=tilt, bend=bend)
     if last:
         score.pose(strike - 0.2, 0.7, pitch=0.5 * s.lean, flex=0.5 * s.lean)
-    rest = s.carriage, s.elbow
-    for arm in (side, OTHER[side]):
-        swing = on * gait.swing * (1.0 if arm == OTHER[side] else -0.9) * vary
-        bend = rest[1] + on * (gait.elbow if arm == OTHER[side] else 0.25 * gait.elbow)
-        lag = 0.04 * step_time
-        score.move(f"{arm}_raised", 0.05 + swing, strike - longer + lag, longer)
-        score.move(f"{arm}_elbow", bend, strike - longer + 3 * lag, longer)
-        score.move(f"{arm}_abduct", rest[0] - on * 0.02, strike - longer, longer)
+    lag = 0.04 * step_time
+    for arm, size, bent in ((side, -0.9, 0.25), (OTHER[side], 1.0, 1.0)):
+        score.limb(arm, strike - longer + lag, longer, raised=0.05 + on * gait.swing * size * vary)
+        score.limb(arm, strike - longer + 3 * lag, longer, elbow=s.elbow + on * (bent * gait.elbow))
+    score.limb(BOTH, strike - longer, longer, abduct=s.carriage - on * 0.02)

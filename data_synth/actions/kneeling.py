@@ -8,7 +8,7 @@ from data_synth.actions.gait import OTHER
 from data_synth.actions.standing import ease
 from data_synth.anatomy import RADIUS
 from data_synth.perform import KNEE, solve
-from data_synth.score import SIDES, SIGN, Score
+from data_synth.score import BOTH, SIDES, SIGN, Score
 from motionlab.skeleton import fk
 
 #: How far the heel is raised over toes that are tucked under, radians.
@@ -17,13 +17,6 @@ TUCKED = 1.26
 HALF = 0.07
 #: Trunk and head of someone on all fours.
 FOURS = {"pitch": 1.38, "flex": 0.10, "steady": 0.35, "nod": -0.2, "twist": 0.0, "bend": 0.0}
-
-
-def place_of(score: Score, joint: str) -> tuple[float, float, float]:
-    """Where a joint is in the pose that the score has reached, metres."""
-    pose = {name: torch.tensor([value], dtype=torch.float64) for name, value in score.value.items()}
-    skeleton = score.subject.skeleton.to(torch.float64)
-    return tuple(fk(skeleton, *solve(score.subject, pose))[0][0, skeleton.index(joint)].tolist())
 
 
 def knee_ahead(score: Score) -> float:
@@ -53,32 +46,29 @@ def kneel_down(score: Score) -> None:
     score.move(f"{back}_heel", TUCKED, t + 0.05, 0.85)
     score.pose(t + 0.05, 0.5 + 0.7 * down, x=x, y=y)
     score.pose(t, 0.65 + down, z=KNEE + s.length("left_knee") + s.hip_drop, pitch=0.10, flex=0.15)
-    for side in SIDES:
-        score.limb(side, t + 0.3, down, elbow=0.6, abduct=0.3, rotate=0.0, raised=0.35)
+    score.limb(BOTH, t + 0.3, down, elbow=0.6, abduct=0.3, rotate=0.0, raised=0.35)
     t += 0.65 + down
     score.move(f"{back}_kneel", 1.0, t - 0.8 * down, 0.8 * down)
     score.plant(back, t, "knee")
     score.move("low", 0.0, t, 0.5)
-    _second_knee(score, front, score.local(SIGN[front] * HALF, -knee_ahead(score)), t + 0.1)
-
-
-def _second_knee(score: Score, side: str, place: tuple[float, float], t: float) -> None:
-    """The foot in front goes behind, on its ball, as the knee comes down."""
-    span = score.uniform(0.9, 1.2) / score.subject.tempo
-    score.release(side, t, "ankle", "foot")
-    score.limb(side, t, span, foot_x=place[0], foot_y=place[1])
-    score.move(f"{side}_heel", TUCKED, t + 0.3 * span, 0.65 * span)
-    score.pulse(f"{side}_lift", 0.11, t, 0.45 * span, 0.55 * span)
-    score.move(f"{side}_kneel", 1.0, t + 0.25 * span, 0.5 * span)
-    score.plant(side, t + span, "foot", "knee")
+    x, y = score.local(SIGN[front] * HALF, -knee_ahead(score))  # the foot in front goes behind, on its ball
+    t, span = t + 0.1, v(0.9, 1.2) / s.tempo
+    score.release(front, t, "ankle", "foot")
+    score.limb(front, t, span, foot_x=x, foot_y=y)
+    score.limb(front, t + 0.3 * span, 0.65 * span, heel=TUCKED)
+    score.pulse(f"{front}_lift", 0.11, t, 0.45 * span, 0.55 * span)
+    score.limb(front, t + 0.25 * span, 0.5 * span, kneel=1.0)
+    score.plant(front, t + span, "foot", "knee")
     score.now = t + span
 
 
 def _hands(score: Score, start: float, duration: float) -> None:
     """Both hands to the floor, in front of where the shoulders will be."""
-    h = score.value["heading"]
+    h, skeleton = score.value["heading"], score.subject.skeleton.to(torch.float64)
+    reached = {name: torch.tensor([value], dtype=torch.float64) for name, value in score.value.items()}
+    positions, _ = fk(skeleton, *solve(score.subject, reached))
     for side in SIDES:
-        x, y, _ = place_of(score, f"{side}_shoulder")
+        x, y, _ = positions[0, skeleton.index(f"{side}_shoulder")].tolist()
         out = SIGN[side] * 0.08
         x, y = x - out * math.cos(h) - 0.10 * math.sin(h), y - out * math.sin(h) + 0.10 * math.cos(h)
         score.limb(side, start - 0.02, 0.02, hand_x=x, hand_y=y, hand_z=RADIUS["left_wrist"])
@@ -91,24 +81,21 @@ def to_belly(score: Score) -> None:
     s, v = score.subject, score.uniform
     t, span = score.now, v(0.9, 1.2) / s.tempo
     score.pose(t, span, **FOURS)
-    for side in SIDES:
-        score.limb(side, t, 0.8 * span, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
+    score.limb(BOTH, t, 0.8 * span, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
     _hands(score, t + 0.1 + 0.3 * span, 0.7 * span)
     t, span = t + 0.1 + span, v(1.1, 1.5) / s.tempo
     x, y = score.local(0.0, 0.96 * s.length("left_knee"))
     score.pose(t, span, x=x, y=y, z=0.14, pitch=math.pi / 2, flex=-0.05, steady=0.0, nod=-0.3)
     t += span
-    for side in SIDES:
-        score.release(side, t, "knee", "foot")
+    score.release(BOTH, t, "knee", "foot")
     score.move("settle", 1.0, t, 0.35)
     t += 0.25
-    for side in SIDES:
-        score.limb(side, t - 0.02, 0.02, hip_flex=0.03, knee=0.08, ankle=1.05, hip_abduct=0.06, hip_twist=0.0)
-        score.limb(side, t, 0.9, loose=1.0, kneel=0.0)
-        score.limb(side, t - 0.3, 0.7, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
-        score.release(side, t + 0.4, "wrist")
-        score.move(f"{side}_grip", 0.0, t + 0.4, 1.0)
-        score.limb(side, t + 1.2, 0.6, raised=-0.05)
+    score.limb(BOTH, t - 0.02, 0.02, hip_flex=0.03, knee=0.08, ankle=1.05, hip_abduct=0.06, hip_twist=0.0)
+    score.limb(BOTH, t, 0.9, loose=1.0, kneel=0.0)
+    score.limb(BOTH, t - 0.3, 0.7, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
+    score.release(BOTH, t + 0.4, "wrist")
+    score.limb(BOTH, t + 0.4, 1.0, grip=0.0)
+    score.limb(BOTH, t + 1.2, 0.6, raised=-0.05)
     score.now = t + 1.8
 
 
@@ -119,13 +106,12 @@ def from_belly(score: Score) -> None:
     for side in SIDES:
         x, y = score.local(SIGN[side] * HALF, -0.96 * knee - knee_ahead(score))
         score.limb(side, t - 0.02, 0.02, foot_x=x, foot_y=y, foot_yaw=score.value["heading"], heel=TUCKED)
-        score.limb(side, t, 0.9, loose=0.0, kneel=1.0)
-        score.plant(side, t + 1.25, "knee", "foot")
+    score.limb(BOTH, t, 0.9, loose=0.0, kneel=1.0)
+    score.plant(BOTH, t + 1.25, "knee", "foot")
     score.pose(t, 0.8, z=0.14)
     score.move("settle", 0.0, t + 0.9, 0.35)
-    for side in SIDES:
-        score.limb(side, t - 0.2, 0.5, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
-        score.limb(side, t + 1.1, 0.9, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
+    score.limb(BOTH, t - 0.2, 0.5, elbow=0.3, abduct=0.4, rotate=0.0, raised=-0.45)
+    score.limb(BOTH, t + 1.1, 0.9, elbow=0.9, abduct=0.1, rotate=0.0, raised=1.35)
     was = dict(score.value)
     x, y = score.local(0.0, -0.96 * knee)
     up = {"x": x, "y": y, "z": KNEE + knee + s.hip_drop, **FOURS}
@@ -135,10 +121,9 @@ def from_belly(score: Score) -> None:
     t, span = t + 1.25, v(1.1, 1.5) / s.tempo
     score.pose(t, span, **up)
     t, span = t + span, v(0.8, 1.1) / s.tempo
-    for side in SIDES:
-        score.release(side, t, "wrist")
-        score.move(f"{side}_grip", 0.0, t, 0.6 * span)
-        score.limb(side, t + 0.2 * span, span, elbow=0.5, abduct=0.25, raised=0.3)
+    score.release(BOTH, t, "wrist")
+    score.limb(BOTH, t, 0.6 * span, grip=0.0)
+    score.limb(BOTH, t + 0.2 * span, span, elbow=0.5, abduct=0.25, raised=0.3)
     score.pose(t + 0.15 * span, span, pitch=0.08, flex=0.12, steady=0.8, nod=0.0)
     score.now = t + 1.2 * span
 

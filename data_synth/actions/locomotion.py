@@ -6,7 +6,7 @@ from itertools import accumulate
 
 from data_synth.actions.gait import OTHER, Gait, tread
 from data_synth.actions.standing import ease
-from data_synth.score import SIDES, SIGN, Score
+from data_synth.score import BOTH, SIDES, SIGN, Score
 
 GRAVITY = 9.81
 
@@ -46,7 +46,9 @@ def walk(
         steps = max(2, round((seconds - 0.55) / step_time) - 1)
         first = score.choose(SIDES)
         if manner == "sideways":
-            centres, headings = _sidesteps(score, SIGN[first] * 0.45 * length, steps)
+            way = SIGN[first] * 0.45 * length  # to that side, and the other foot beside it
+            centres = [score.local(way * (k // 2 + 1), 0.0) for k in range(2 * max(1, steps // 2))]
+            headings = [score.value["heading"]] * len(centres)
         else:
             centres, headings = _path(score, length * (-0.55 if manner == "backwards" else 1.0), turn, steps)
         tread(score, centres, headings, step_time, gait, first)
@@ -58,33 +60,26 @@ MANNERS = ("proud", "tired", "sneaking", "marching", "limping", "backwards", "si
 
 def styled(score: Score, gait: Gait, manner: str | None) -> Gait:
     """A gait in one of MANNERS, or for None a personal one drawn around the usual."""
-    v = score.uniform
-    gait = replace(
-        gait, swing=gait.swing * v(0.87, 1.13), twist=gait.twist * v(0.85, 1.15), lean=gait.lean + v(-0.01, 0.01)
-    )
+    v, g = score.uniform, gait
+    g = replace(g, swing=g.swing * v(0.87, 1.13), twist=g.twist * v(0.85, 1.15), lean=g.lean + v(-0.01, 0.01))
     if manner is None:
-        return gait
-    return {
-        "proud": replace(gait, lean=gait.lean - 0.02, swing=1.2 * gait.swing, bob=1.2 * gait.bob),
-        "tired": replace(
-            gait, lean=gait.lean + 0.28, swing=0.4 * gait.swing, heel=0.75 * gait.heel, drop=gait.drop + 0.01
-        ),
-        "sneaking": replace(
-            gait, lean=gait.lean + 0.35, drop=gait.drop + 0.015, clearance=0.10, swing=0.3 * gait.swing
-        ),
-        "marching": replace(gait, swing=1.6 * gait.swing, elbow=0.4 * gait.elbow, clearance=0.09, bob=0.8 * gait.bob),
-        "limping": replace(gait, limp=score.choose((-1, 1)) * v(0.4, 0.7), swing=0.7 * gait.swing),
-        "backwards": replace(gait, heel=0.5 * gait.heel, swing=0.35 * gait.swing, bob=0.5 * gait.bob),
-        "sideways": replace(gait, width=1.4 * gait.width, heel=0.4, swing=0.15 * gait.swing, yaw=0.0, twist=0.05),
-    }[manner]
+        return g
+    return replace(g, **{
+        "proud": {"lean": g.lean - 0.02, "swing": 1.2 * g.swing, "bob": 1.2 * g.bob},
+        "tired": {"lean": g.lean + 0.28, "swing": 0.4 * g.swing, "heel": 0.75 * g.heel, "drop": g.drop + 0.01},
+        "sneaking": {"lean": g.lean + 0.35, "drop": g.drop + 0.015, "clearance": 0.10, "swing": 0.3 * g.swing},
+        "marching": {"swing": 1.6 * g.swing, "elbow": 0.4 * g.elbow, "clearance": 0.09, "bob": 0.8 * g.bob},
+        "limping": {"limp": score.choose((-1, 1)) * v(0.4, 0.7), "swing": 0.7 * g.swing},
+        "backwards": {"heel": 0.5 * g.heel, "swing": 0.35 * g.swing, "bob": 0.5 * g.bob},
+        "sideways": {"width": 1.4 * g.width, "heel": 0.4, "swing": 0.15 * g.swing, "yaw": 0.0, "twist": 0.05},
+    }[manner])  # fmt: skip
 
 
 def _path(score: Score, length: float, turn: float, steps: int) -> tuple[list[tuple[float, float]], list[float]]:
     """Places and headings of the footfalls: a first half step, full steps along an arc, and a step to close."""
     begun = score.value["heading"]
-    shares = [
-        0.72 if k == 0 else 0.9 if k == steps - 1 and steps > 2 else score.uniform(0.96, 1.04) for k in range(steps)
-    ]
+    last = steps - 1 if steps > 2 else 0
+    shares = [{last: 0.9, 0: 0.72}.get(k) or score.uniform(0.96, 1.04) for k in range(steps)]
     headings = [begun + turn * (k + 1) / steps for k in range(steps)]
     centres = _along(score, [share * length for share in shares], headings)
     return [*centres, centres[-1]], [*headings, headings[-1]]
@@ -99,12 +94,6 @@ def _along(score: Score, ways: list[float], headings: list[float]) -> list[tuple
         x, y, heading = x - way * math.sin(middle), y + way * math.cos(middle), new
         places.append((x, y))
     return places
-
-
-def _sidesteps(score: Score, way: float, steps: int) -> tuple[list[tuple[float, float]], list[float]]:
-    """Step to the left by ``way`` metres, or right if negative, bring the other foot, and so on."""
-    centres = [score.local(way * (k // 2 + 1), 0.0) for k in range(2 * max(1, steps // 2))]
-    return centres, [score.value["heading"]] * len(centres)
 
 
 def turn(score: Score, *, angle: float | None = None) -> None:
@@ -142,19 +131,16 @@ def run(score: Score, *, seconds: float = 4.5, speed: float | None = None, turn:
         ways = [0.4, 0.75] + [1.0] * (count - 4) + [0.75, 0.4]
         headings = list(accumulate([turn / count] * count, initial=score.value["heading"]))[1:]
         places = _along(score, [w * speed * step_time for w in ways], headings)
-        first = score.choose(("left", "right"))
+        first = side = score.choose(SIDES)
         strikes = [score.now + 0.75 + k * step_time for k in range(count)]
         _run_height(score, strikes, stance, flight)
-        side = first
         for k, strike in enumerate(strikes):
             _run_step(score, side, strike, stance, flight, places[k], headings[k], ways[k])
             score.gait.append((strike, (0.0 if first == "left" else 0.5) + 0.5 * k))
             side = OTHER[side]
-        x, y = score.stance(side)
-        stop = strikes[-1] + stance + 0.22
-        lift = strikes[-1] - flight
+        lift, stop = strikes[-1] - flight, strikes[-1] + stance + 0.22
         yaw = headings[-1] + SIGN[side] * s.toe_out
-        score.step(side, (x, y), yaw, lift, stop, height=0.10, heel=0.9, early=0.6 * stance)
+        score.step(side, score.stance(side), yaw, lift, stop, height=0.10, heel=0.9, early=0.6 * stance)
         ease(score, strikes[-1] + 0.25, 0.8)
         score.now = strikes[-1] + 1.1
 
@@ -179,28 +165,21 @@ def _run_step(score, side, strike, stance, flight, place, heading, way) -> None:
     s, sign = score.subject, SIGN[side]
     step_time = stance + flight
     middle = strike + stance / 2
-    for channel, to in (("x", place[0]), ("y", place[1]), ("heading", heading)):
-        score.move(channel, to, middle - 2.0 * step_time, 3 * step_time)
+    score.pose(middle - 2.0 * step_time, 3 * step_time, x=place[0], y=place[1], heading=heading)
     half, ahead = sign * 0.3 * s.step_width, -0.035 + 0.04
     x = place[0] - half * math.cos(heading) - ahead * math.sin(heading)
     y = place[1] - half * math.sin(heading) + ahead * math.cos(heading)
-    swing = step_time + flight
-    first = f"{side}_ankle" in score.planted and score.planted[f"{side}_ankle"] < score.now
-    lift = strike - swing if not first else max(score.now + 0.2, strike - swing)
+    lift = max(score.now + 0.2, strike - (step_time + flight))
     score.step(
         side, (x, y), heading + sign * 0.5 * s.toe_out, lift, strike, height=0.10 + 0.10 * way, heel=0.95 + 0.3 * way,
         toe=0.10, early=0.75 * stance, late=0.05, shape=(0.55, 0.50, 1.55),
     )  # fmt: skip
-    score.move("sway", sign * 0.012, middle - step_time, step_time)
-    score.move("yaw", -sign * 0.13 * s.twist, middle - 1.1 * step_time, 1.1 * step_time)
-    score.move("twist", sign * 0.32 * s.twist, middle - 1.1 * step_time, 1.1 * step_time)
-    score.move("tilt", sign * 0.05, middle - step_time, step_time)
-    score.move("bend", -sign * 0.04, middle - step_time, step_time)
+    score.pose(middle - step_time, step_time, sway=sign * 0.012, tilt=sign * 0.05, bend=-sign * 0.04)
+    yaw, twist = -sign * 0.13 * s.twist, sign * 0.32 * s.twist
+    score.pose(middle - 1.1 * step_time, 1.1 * step_time, yaw=yaw, twist=twist)
     score.pose(middle - 2 * step_time, 2 * step_time, pitch=0.07 + 0.06 * way, flex=0.10 + 0.04 * way)
-    for arm in ("left", "right"):
+    for arm in SIDES:
         out = 1 if arm == OTHER[side] else -1
         swung = 0.05 + out * (0.62 if out > 0 else 0.68) * s.arm_swing**0.5 * (0.4 + 0.6 * way)
-        score.limb(
-            arm, middle - 1.1 * step_time, 1.1 * step_time, elbow=1.5 + 0.40 * out, abduct=0.28, rotate=-0.25,
-            raised=swung,
-        )  # fmt: skip
+        score.limb(arm, middle - 1.1 * step_time, 1.1 * step_time, elbow=1.5 + 0.40 * out, raised=swung)
+    score.limb(BOTH, middle - 1.1 * step_time, 1.1 * step_time, abduct=0.28, rotate=-0.25)

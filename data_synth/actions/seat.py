@@ -3,23 +3,21 @@
 import math
 
 from data_synth.actions.standing import ease
-from data_synth.score import SIDES, SIGN, Score
+from data_synth.score import BOTH, SIDES, SIGN, Score
 
 GRAVITY = 9.81
 
 
-def sit(score: Score, *, seat: float | None = None, seconds: float = 3.0) -> None:
-    """Sit down on a chair whose seat is ``seat`` metres high (drawn if None), stay for ``seconds``, and stand up.
+def sit(score: Score, *, seconds: float = 3.0) -> None:
+    """Sit down on a chair, stay for ``seconds``, and stand up.
 
     Hips go back, the trunk leans forward until they touch, the feet stay. The pelvis joint rests 9 cm above
     the seat. A chair is no floor: the pelvis' contact stays off.
     """
     s, v = score.subject, score.uniform
-    seat = v(0.40, 0.50) if seat is None else seat
-    down, up = v(1.3, 1.9) / s.tempo, v(1.2, 1.7) / s.tempo
+    seat, down, up = v(0.40, 0.50), v(1.3, 1.9) / s.tempo, v(1.2, 1.7) / s.tempo  # seat: its height, metres
     knee = s.ankle + s.length("left_ankle")
-    thigh = s.length("left_knee")
-    back = math.sqrt(max(0.05, thigh**2 - (seat + 0.08 - knee) ** 2)) + v(-0.03, 0.02)
+    back = math.sqrt(max(0.05, s.length("left_knee") ** 2 - (seat + 0.08 - knee) ** 2)) + v(-0.03, 0.02)
     with score.action("sit down"):
         t = score.now
         score.pose(t, 0.75 * down, pitch=v(0.40, 0.55), flex=v(0.25, 0.40), steady=0.75)
@@ -34,10 +32,9 @@ def sit(score: Score, *, seat: float | None = None, seconds: float = 3.0) -> Non
         end = score.now + seconds
         while score.now < end - 0.6:
             span = min(v(1.0, 2.0), end - score.now)
-            score.pose(
-                score.now, 0.8 * span, turn=v(-0.6, 0.6), nod=v(-0.1, 0.35), pitch=v(-0.2, 0.08), flex=v(0.05, 0.4)
-            )
-            score.pose(score.now, 0.8 * span, twist=v(-0.15, 0.15), bend=v(-0.08, 0.08), cock=v(-0.1, 0.1))
+            look = {"turn": v(-0.6, 0.6), "nod": v(-0.1, 0.35), "pitch": v(-0.2, 0.08), "flex": v(0.05, 0.4)}
+            look |= {"twist": v(-0.15, 0.15), "bend": v(-0.08, 0.08), "cock": v(-0.1, 0.1)}
+            score.pose(score.now, 0.8 * span, **look)
             if score.chance(0.4):
                 side = score.choose(SIDES)
                 score.limb(side, score.now, 0.5, elbow=v(1.2, 2.1), rotate=v(-0.4, 0.2), raised=v(0.3, 1.0))
@@ -62,51 +59,42 @@ def _hands_on_lap(score: Score, start: float, duration: float) -> None:
         score.limb(side, start, duration, pronate=0.6, **pose)
 
 
-def crouch(score: Score, *, depth: float | None = None, seconds: float = 1.0) -> None:
-    """Go down on the haunches by ``depth`` of the leg's length (drawn if None), stay, come up; heels rise when deep."""
+def crouch(score: Score) -> None:
+    """Go down on the haunches by 0.25 to 0.62 of the leg's length, stay for a second, come up."""
     s, v = score.subject, score.uniform
-    depth = v(0.25, 0.62) if depth is None else depth
     with score.action("crouch"):
-        t, down, up = score.now, v(0.8, 1.2) / s.tempo, v(0.8, 1.2) / s.tempo
-        rise = max(0.0, depth - 0.12) * 2.1
-        lean = v(0.9, 1.2) * depth
+        t, depth, down, up = score.now, v(0.25, 0.62), v(0.8, 1.2) / s.tempo, v(0.8, 1.2) / s.tempo
+        rise, lean = (depth - 0.12) * 2.1, v(0.9, 1.2) * depth
         score.pose(t, down, z=s.standing - depth * s.leg + 0.09 * rise, surge=-0.20 * depth + 0.10 * rise)
         score.pose(t, down, pitch=0.8 * lean, flex=0.5 * lean, steady=0.8, nod=v(0.0, 0.4))
         for side in SIDES:
             score.limb(side, t, down, elbow=v(0.4, 1.2), abduct=v(0.1, 0.3), rotate=v(-0.3, 0.1), raised=v(0.7, 1.2))
             score.move(f"{side}_splay", v(0.1, 0.3), t, down)
-            if rise:
-                score.release(side, t + 0.25 * down, "ankle")
-                score.move(f"{side}_heel", rise, t + 0.25 * down, 0.75 * down)
+        score.release(BOTH, t + 0.25 * down, "ankle")
+        score.limb(BOTH, t + 0.25 * down, 0.75 * down, heel=rise)
         if score.chance(0.6):  # pick something up
             side = score.choose(SIDES)
             low = t + down - 0.2
             score.limb(side, low, 0.5, elbow=0.15, rotate=0.0, raised=0.9)
             score.pulse("twist", -SIGN[side] * 0.25, low, 0.5, 0.5)
             score.limb(side, low + 0.6, 0.6, elbow=1.3, raised=0.8)
-        score.now += down + seconds
+        score.now += down + 1.0
         t = score.now
-        for side in SIDES:
-            score.move(f"{side}_splay", 0.0, t, up)
-            if rise:
-                score.move(f"{side}_heel", 0.0, t, 0.7 * up)
-                score.plant(side, t + 0.7 * up, "ankle")
+        score.limb(BOTH, t, up, splay=0.0)
+        score.limb(BOTH, t, 0.7 * up, heel=0.0)
+        score.plant(BOTH, t + 0.7 * up, "ankle")
         ease(score, t, 1.1 * up)
         score.now += 1.15 * up
 
 
-def jump(
-    score: Score, *, height: float | None = None, distance: float | None = None, spin: float | None = None
-) -> None:
-    """Jump off both feet: ``height`` metres of flight, ``distance`` metres ahead, ``spin`` radians on the way.
+def jump(score: Score, *, height: float | None = None) -> None:
+    """Jump off both feet, ``height`` metres (drawn if None), on the spot or ahead, with or without a turn on the way.
 
     Crouch, extend, fly as gravity has it (z'' = -g between take-off and landing), absorb.
     """
     s, v = score.subject, score.uniform
-    height = v(0.10, 0.32) if height is None else height
-    distance = score.choose((0.0, v(0.1, 0.6))) if distance is None else distance
-    spin = score.choose((0.0, 0.0, v(-1.6, 1.6))) if spin is None else spin
-    speed = math.sqrt(2 * GRAVITY * height)
+    speed = math.sqrt(2 * GRAVITY * (v(0.10, 0.32) if height is None else height))
+    distance, spin = score.choose((0.0, v(0.1, 0.6))), score.choose((0.0, 0.0, v(-1.6, 1.6)))  # metres, radians
     flight = 2 * speed / GRAVITY
     with score.action("jump"):
         t, sink, push, give = score.now, v(0.45, 0.7), v(0.30, 0.36), v(0.26, 0.34)

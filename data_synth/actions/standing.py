@@ -1,7 +1,7 @@
 """What people do with their arms, and one leg, while they stand: idle, reach, wave, punch, kick."""
 
 from data_synth.actions.gait import OTHER
-from data_synth.score import SIDES, SIGN, Score
+from data_synth.score import BOTH, SIDES, SIGN, Score
 
 
 def ease(score: Score, start: float, duration: float) -> None:
@@ -11,8 +11,7 @@ def ease(score: Score, start: float, duration: float) -> None:
         start, duration, z=s.standing, sway=0, surge=0, yaw=0, pitch=0.5 * s.lean, flex=0.5 * s.lean, tilt=0,
         bend=0, twist=0, nod=0, turn=0, cock=0, steady=1,
     )  # fmt: skip
-    for side in SIDES:
-        score.limb(side, start, duration, shrug=0, **score.arm_at_ease())
+    score.limb(BOTH, start, duration, shrug=0, **score.arm_at_ease())
 
 
 def lean_on(score: Score, side: str, start: float, duration: float, amount: float = 0.045) -> None:
@@ -33,19 +32,17 @@ def restep(score: Score, side: str, forward: float, outward: float, start: float
 
 def idle(score: Score, *, seconds: float = 4.0) -> None:
     """Stand about: breathe, shift the weight, look around, fidget, now and then move a foot."""
-    begin, side = score.now, score.choose(SIDES)
+    begin, side, v = score.now, score.choose(SIDES), score.uniform
     with score.action("idle"):
         while score.now < begin + seconds - 0.8:
-            span = min(score.uniform(1.2, 2.6) / score.subject.tempo, begin + seconds - score.now)
-            lean_on(score, side, score.now, 0.8 * span, score.uniform(0.01, 0.055))
+            span = min(v(1.2, 2.6) / score.subject.tempo, begin + seconds - score.now)
+            lean_on(score, side, score.now, 0.8 * span, v(0.01, 0.055))
             if score.chance(0.6):
-                score.pose(score.now, 0.7, turn=score.uniform(-0.8, 0.8), nod=score.uniform(-0.15, 0.3))
+                score.pose(score.now, 0.7, turn=v(-0.8, 0.8), nod=v(-0.15, 0.3))
             if score.chance(0.5):
                 _fidget(score, score.choose(SIDES), score.now + 0.2, 0.9)
             if score.chance(0.25):
-                restep(
-                    score, OTHER[side], score.uniform(-0.06, 0.08), score.uniform(-0.01, 0.06), score.now + 0.6 * span
-                )
+                restep(score, OTHER[side], v(-0.06, 0.08), v(-0.01, 0.06), score.now + 0.6 * span)
             side = OTHER[side] if score.chance(0.7) else side
             score.now += span
         ease(score, score.now, 0.8)
@@ -63,10 +60,10 @@ def _fidget(score: Score, side: str, start: float, duration: float) -> None:
     score.limb(side, start, duration, **pose)
 
 
-def reach(score: Score, *, times: int = 2) -> None:
-    """Reach for things, high, low, across, to the side, with one or both hands, and look there."""
+def reach(score: Score) -> None:
+    """Reach twice for things, high, low, across, to the side, with one or both hands, and look there."""
     with score.action("reach"):
-        for _ in range(times):
+        for _ in range(2):
             side, both = score.choose(SIDES), score.chance(0.3)
             sign, v, fast = SIGN[side], score.uniform, score.subject.tempo
             go, hold, back = v(0.55, 0.95) / fast, v(0.1, 0.5), v(0.6, 0.9) / fast
@@ -115,18 +112,9 @@ def guard(score: Score, lead: str, start: float, duration: float) -> None:
     z = score.subject.standing - 0.055 * score.subject.leg / 0.9
     score.pose(start, duration, surge=-0.165, z=z, pitch=0.10, flex=0.18, steady=0.9)
     score.pose(start, duration, yaw=SIGN[back] * 0.30, twist=SIGN[back] * 0.05)
-    for side in SIDES:
-        ahead = 0.15 if side == lead else 0.0
-        score.limb(
-            side, start, duration, abduct=0.22, rotate=-0.25, elbow=2.05 - ahead, pronate=0.3, raised=0.75 + ahead
-        )
-
-
-def unguard(score: Score, lead: str) -> None:
-    """Back from the stance: the foot steps up to the other one."""
-    restep(score, OTHER[lead], 0.0, 0.0, score.now + 0.25, 0.42)
-    ease(score, score.now, 0.85)
-    score.now += 0.95
+    score.limb(BOTH, start, duration, abduct=0.22, rotate=-0.25, pronate=0.3)
+    for side, ahead in ((lead, 0.15), (back, 0.0)):
+        score.limb(side, start, duration, elbow=2.05 - ahead, raised=0.75 + ahead)
 
 
 def bounce(score: Score, start: float, stop: float) -> None:
@@ -152,30 +140,24 @@ def advance(score: Score, lead: str, by: float, start: float) -> None:
         restep(score, side, 0.0 if side == lead else -0.32, 0.04 * (side != lead), begin, 0.24)
 
 
-def punch(score: Score, *, times: int | None = None) -> None:
+def punch(score: Score) -> None:
     """Take a stance and throw straight punches and hooks: fast out, slower back."""
     lead, v = score.choose(SIDES), score.uniform
     with score.action("punch"):
         guard(score, lead, score.now, 0.7)
         score.now += 0.8
         side, begin = lead, score.now - 0.2
-        for k in range(int(v(4, 9)) if times is None else times):
+        for k in range(int(v(4, 9))):
             if k and score.chance(0.4):  # look for an opening
                 advance(score, lead, v(-0.14, 0.14), score.now + 0.05)
                 score.now += v(0.5, 0.9)
             sign, out, back = SIGN[side], v(0.17, 0.24) / score.subject.tempo, v(0.28, 0.4)
             was = {name: score.value[f"{side}_{name}"] for name in ("raised", "abduct", "rotate", "elbow", "shrug")}
             hook = score.chance(0.3)
-            to = {
-                "raised": v(1.35, 1.6),
-                "abduct": v(-0.12, 0.05),
-                "rotate": -0.3,
-                "elbow": v(0.12, 0.3),
-                "shrug": 0.12,
-            }
+            to = {"raised": v(1.35, 1.6), "abduct": v(-0.12, 0.05), "rotate": -0.3, "elbow": v(0.12, 0.3)}
             if hook:
                 to = {"raised": v(1.0, 1.2), "abduct": v(0.7, 0.9), "rotate": v(-1.2, -0.9), "elbow": v(1.35, 1.6)}
-                to["shrug"] = 0.1
+            to["shrug"] = 0.1 if hook else 0.12
             turn = (0.40 if side == lead else 0.65) * (1.2 if hook else 1.0)
             score.limb(side, score.now, out, **to)
             score.pulse("twist", -sign * turn, score.now - 0.05, out, 1.1 * back)
@@ -186,39 +168,39 @@ def punch(score: Score, *, times: int | None = None) -> None:
             side = OTHER[side] if score.chance(0.65) else side
         bounce(score, begin, score.now)
         score.now += 0.15
-        unguard(score, lead)
+        restep(score, OTHER[lead], 0.0, 0.0, score.now + 0.25, 0.42)
+        ease(score, score.now, 0.85)
+        score.now += 0.95
 
 
-def kick(score: Score, *, times: int = 1) -> None:
+def kick(score: Score) -> None:
     """Stand on one leg and kick: knee up, snap, knee back, foot down."""
     v = score.uniform
-    for _ in range(times):
-        with score.action("kick"):
-            side = score.choose(SIDES)
-            sign, stance = SIGN[side], OTHER[side]
-            start, high, wide = score.now, v(1.3, 1.8), v(0.0, 0.45)
-            lean_on(score, stance, start, 0.5, 0.075)
-            for arm in SIDES:
-                score.limb(arm, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, raised=0.5)
-            up = start + 0.45
-            score.release(side, up - 0.15, "ankle")
-            score.pulse(f"{side}_heel", 0.5, up - 0.15, 0.22, 0.3)
-            score.release(side, up, "foot")
-            score.limb(side, up - 0.1, 0.01, hip_flex=0.35, knee=0.75, ankle=0.25)
-            chamber, snap, fold, down = 0.34, v(0.19, 0.24), v(0.22, 0.28), 0.42
-            score.pulse(f"{side}_loose", 1.0, up, 0.8 * chamber, down, 0.2 * chamber + snap + fold)
-            score.pulse(f"{side}_lift", 0.17, up, 0.15, down, chamber + snap + fold - 0.15)
-            score.limb(side, up, chamber, hip_flex=0.85 * high, knee=v(1.5, 1.8), hip_abduct=wide, ankle=0.5)
-            score.limb(side, up + chamber, snap, hip_flex=high, knee=v(0.15, 0.3), ankle=0.7)
-            score.limb(side, up + chamber + snap, fold, hip_flex=0.8 * high, knee=1.5)
-            score.limb(side, up + chamber + snap + fold, down, hip_flex=0.2, knee=0.4, hip_abduct=0.0, ankle=0.0)
-            score.pulse("pitch", -0.16 * high, up, chamber + snap, fold + down)
-            score.pulse("flex", 0.10, up, chamber + snap, fold + down)
-            score.pulse("yaw", -sign * 0.25, up + 0.1, chamber + snap, fold + down)
-            score.pulse("twist", sign * 0.3, up + 0.1, chamber + snap, fold + down)
-            score.limb(stance, up, chamber + snap, elbow=1.1, abduct=0.5)
-            score.limb(side, up, chamber + snap, elbow=0.9, abduct=0.4, raised=-0.3)
-            land = up + chamber + snap + fold + down
-            score.plant(side, land, "ankle", "foot")
-            ease(score, land - 0.15, 0.8)
-            score.now = land + 0.7
+    with score.action("kick"):
+        side = score.choose(SIDES)
+        sign, stance = SIGN[side], OTHER[side]
+        start, high, wide = score.now, v(1.3, 1.8), v(0.0, 0.45)
+        lean_on(score, stance, start, 0.5, 0.075)
+        score.limb(BOTH, start, 0.5, abduct=0.3, rotate=-0.1, elbow=1.6, raised=0.5)
+        up = start + 0.45
+        score.release(side, up - 0.15, "ankle")
+        score.pulse(f"{side}_heel", 0.5, up - 0.15, 0.22, 0.3)
+        score.release(side, up, "foot")
+        score.limb(side, up - 0.1, 0.01, hip_flex=0.35, knee=0.75, ankle=0.25)
+        chamber, snap, fold, down = 0.34, v(0.19, 0.24), v(0.22, 0.28), 0.42
+        score.pulse(f"{side}_loose", 1.0, up, 0.8 * chamber, down, 0.2 * chamber + snap + fold)
+        score.pulse(f"{side}_lift", 0.17, up, 0.15, down, chamber + snap + fold - 0.15)
+        score.limb(side, up, chamber, hip_flex=0.85 * high, knee=v(1.5, 1.8), hip_abduct=wide, ankle=0.5)
+        score.limb(side, up + chamber, snap, hip_flex=high, knee=v(0.15, 0.3), ankle=0.7)
+        score.limb(side, up + chamber + snap, fold, hip_flex=0.8 * high, knee=1.5)
+        score.limb(side, up + chamber + snap + fold, down, hip_flex=0.2, knee=0.4, hip_abduct=0.0, ankle=0.0)
+        score.pulse("pitch", -0.16 * high, up, chamber + snap, fold + down)
+        score.pulse("flex", 0.10, up, chamber + snap, fold + down)
+        score.pulse("yaw", -sign * 0.25, up + 0.1, chamber + snap, fold + down)
+        score.pulse("twist", sign * 0.3, up + 0.1, chamber + snap, fold + down)
+        score.limb(stance, up, chamber + snap, elbow=1.1, abduct=0.5)
+        score.limb(side, up, chamber + snap, elbow=0.9, abduct=0.4, raised=-0.3)
+        land = up + chamber + snap + fold + down
+        score.plant(side, land, "ankle", "foot")
+        ease(score, land - 0.15, 0.8)
+        score.now = land + 0.7

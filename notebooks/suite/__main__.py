@@ -1,7 +1,5 @@
 """The command line: in a checkout, ``PYTHONPATH=notebooks python -m suite COMMAND``; ``--help`` lists the commands."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys
@@ -10,14 +8,16 @@ from pathlib import Path
 
 from motionlab.commands.doctor import ROOT
 from motionlab.errors import DataError, MissingData
-from suite import execute, pages, report
+from suite import execute, pages
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns 0 if all notebooks ran, 1 if some failed, 2 if something is missing."""
     options = _parser().parse_args(arguments)
+    if folder := os.environ.get("MOTIONLAB_DATA"):  # notebooks run in their own folder, not in the caller's
+        os.environ["MOTIONLAB_DATA"] = str(Path(folder).expanduser().resolve())
     try:
-        return 0 if all(run.ok for run in options.run(options)) else 1
+        return int(any(run.error for run in options.run(options)))
     except KeyboardInterrupt:
         print("\nstopped", file=sys.stderr)
         return 130
@@ -47,20 +47,29 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _report(options: argparse.Namespace) -> list[execute.Run]:
+    from suite import report  # takes seconds to load
+
     runs = report.write_report(options.out, options.profile, options.notebooks, run=not options.no_run)
-    print(f"{'not run' if options.no_run else execute.run_summary(runs)}; report: {options.out / 'index.html'}")
+    print(f"{'not run' if options.no_run else _summary(runs)}; report: {options.out / 'index.html'}")
     return runs
 
 
 def _regenerate(options: argparse.Namespace) -> list[execute.Run]:
     if options.fingerprints:
-        runs = execute.take_fingerprints(options.notebooks, again=options.again)
+        paths = execute.find_notebooks(options.notebooks)
+        runs = [execute.take_fingerprint(path, again=options.again) for path in paths]
     else:
         runs = execute.regenerate(options.notebooks)
-    print(execute.run_summary(runs))  # first: the pages cannot be written where an answer lacks its finding
+    print(_summary(runs))  # first: the pages cannot be written where an answer lacks its finding
     if not options.fingerprints:
         pages.update(ROOT)
     return runs
+
+
+def _summary(runs: Sequence[execute.Run]) -> str:
+    """How many notebooks ran, and why the others did not."""
+    failed = [f"-- {run.notebook} {run.status}: {run.error.splitlines()[0]}" for run in runs if run.error]
+    return "\n".join([*failed, f"{len(runs) - len(failed)} of {len(runs)} notebooks ran"])
 
 
 if __name__ == "__main__":

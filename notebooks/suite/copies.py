@@ -3,8 +3,6 @@
 ``python -m suite.copies FOLDER`` makes the folder, or brings it up to date.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys
@@ -28,11 +26,10 @@ def refresh(folder: Path, notebooks: Path = NOTEBOOKS) -> list[str]:
             (folder / name).symlink_to((notebooks / name).resolve())
     for source in sorted(notebooks.glob("*.ipynb")):
         mine, last = folder / source.name, copied / source.name
-        if mine.exists() and last.exists() and last.read_bytes() == source.read_bytes():
-            continue
-        if mine.exists() and _text(mine) not in (_text(source), _text(last)):
+        old = mine.exists() and last.exists() and last.read_bytes() == source.read_bytes()
+        if not old and mine.exists() and _text(mine) not in (_text(source), _text(last)):
             kept.append(source.name)
-        else:
+        elif not old:
             shutil.copyfile(source, mine), shutil.copyfile(source, last)
     return kept
 

@@ -5,14 +5,14 @@ measurement of one test on one source of data, with its interval. Whether it mee
 knows nothing of the experiment; what that says of the claim, ``suite.ledger``.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re
 import tomllib
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Self
 
 from motionlab.errors import DataError
 from motionlab.files import write_whole
@@ -22,7 +22,6 @@ from suite.staleness import Fingerprint, Mark
 HOLDS, FAILS, UNJUDGED = "holds", "does not hold", "cannot be judged here"
 ROLES = ("claim", "control", "apparatus", "beyond")
 _NUMBERS = ("value", "low", "high")  # of a finding; NaN where there was nothing to measure
-_FINGERPRINTS = ("fingerprint", "fingerprint_on_recordings")
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Criterion:
     relation: str
     bound: float
     baseline: str
-    needs: tuple[str, ...] = ()
+    needs: Sequence[str] = ()
     least: int = 1
     clock: bool = False
     role: str = "claim"
@@ -97,7 +96,7 @@ class Claim:
     condition: str = ""
     needs: str = ""
     figure: str = ""
-    carriers: tuple[str, ...] = ()
+    carriers: Sequence[str] = ()
     tests: tuple[Criterion, ...] = ()
 
     def __post_init__(self) -> None:
@@ -143,26 +142,18 @@ def load_claims(path: Path | str) -> dict[str, Claim]:
     Raises:
         DataError: not TOML, a claim or test without a required field, an id used twice, an unknown relation.
     """
-    path = Path(path)
+    claims, row = {}, {}
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise DataError(str(error), path=path, remedy="restore claims.toml from the repository") from error
-    claims: dict[str, Claim] = {}
-    for row in map(_hashable, table.get("claim", [])):
-        try:
+        for row in tomllib.loads(Path(path).read_text(encoding="utf-8"))["claim"]:
             tests = row.pop("test", {}).items()
-            tests = tuple(Criterion(id=f"{row['id']}.{name}", **_hashable(test)) for name, test in tests)
             if row["id"] in claims:
                 raise ValueError("id used twice")
+            tests = tuple(Criterion(id=f"{row['id']}.{name}", **test) for name, test in tests)
             claims[row["id"]] = Claim(**row, tests=tests)
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(str(error), path=path, place=f"claim {row.get('id', '?')}") from error
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        place, remedy = row and f"claim {row.get('id', '?')}", "restore claims.toml from the repository"
+        raise DataError(str(error), path=path, place=place, remedy=remedy) from error
     return claims
-
-
-def _hashable(row: dict) -> dict:
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in row.items()}
 
 
 def all_tests(claims: dict[str, Claim]) -> dict[str, Criterion]:
@@ -200,11 +191,6 @@ class Record:
     weights: dict[str, str] = field(default_factory=dict)
     recordings: dict[str, str] = field(default_factory=dict)
 
-    @property
-    def seconds(self) -> float | None:
-        """How long the run took; None where the record does not say."""
-        return float(self.provenance["seconds"]) if "seconds" in self.provenance else None
-
     def expected(self, recordings: dict[str, str]) -> Fingerprint:
         """Returns what a smoke run must measure beside these recordings.
 
@@ -217,7 +203,7 @@ class Record:
             return self.fingerprint | self.fingerprint_on_recordings
         return {name: mark for name, mark in self.fingerprint.items() if name not in self.fingerprint_on_recordings}
 
-    def moved(self, now: Record) -> list[str]:
+    def moved(self, now: Self) -> list[str]:
         """Lists how a smoke run differs from this record, a phrase each."""
         other = [f"{n} are other weights" for n, digest in self.weights.items() if now.weights.get(n, digest) != digest]
         return other + staleness.differences(self.expected(now.recordings), now.fingerprint)
@@ -246,7 +232,7 @@ def load_record(path: Path | str) -> Record:
     try:
         raw = json.loads(Path(path).read_text(encoding="utf-8"))
         rows = [row | {name: math.nan for name in _NUMBERS if row[name] is None} for row in raw["findings"]]
-        marks = {name: {n: Mark(*pair) for n, pair in raw.get(name, {}).items()} for name in _FINGERPRINTS}
+        marks = {k: {n: Mark(*pair) for n, pair in raw[k].items()} for k in raw if k.startswith("fingerprint")}
         return Record(**{**raw, **marks, "findings": tuple(Finding(**row) for row in rows)})
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(str(error), path=path, remedy="run `make full` to measure again") from error

@@ -13,12 +13,10 @@ marked ``reference`` in ``claims.toml``. Two to seven clips, people or seeds dec
 rounds of a stopwatch: five that agree are rarer than one in twenty by chance (sign test). A single number is a count.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 from motionlab.errors import DataError
 from suite.findings import FAILS, HOLDS, UNJUDGED, Claim, Criterion, Finding
@@ -32,8 +30,7 @@ _REAL = ("recordings", "bandai_namco", "pose2sim", "anidance", "cmu", "captury")
 _NUMBERS = re.compile(r"\d[\d.,]*\d|\d")
 
 
-@dataclass(frozen=True)
-class Weighed:
+class Weighed(NamedTuple):
     """A finding with its test and what it says of the claim: holds, does not hold, cannot be judged, or nothing."""
 
     test: Criterion
@@ -81,23 +78,19 @@ def verdict(claim: Claim, found: Iterable[Finding]) -> str:
 
 
 # --------------------------------------------------------------------------------------------------------- in words
-@dataclass(frozen=True)
-class _Measured:
+class _Measured(list):
     """The findings of one test as an answer may name them: {sits.value:.0%}, {sits[recordings].low:.2f}."""
 
-    rows: Sequence[Finding]
-
-    def __getitem__(self, source: str) -> _Measured:
-        return _Measured([f for f in self.rows if f.source == source])
+    def __getitem__(self, source: str) -> Self:
+        return _Measured(f for f in self if f.source == source)
 
     def __getattr__(self, name: str) -> float:
-        if len(self.rows) != 1:
-            raise KeyError(f"{len(self.rows)} sources: name one")
-        first = self.rows[0]
-        more = {"size": abs(first.value), "baseline": first.baseline_value}
-        number = more[name] if name in more else getattr(first, name)
+        if len(self) != 1:
+            raise KeyError(f"{len(self)} sources: name one")
+        (row,) = self
+        number = (vars(row) | {"size": abs(row.value), "baseline": row.baseline_value})[name]
         if not math.isfinite(number):
-            raise ValueError(f"{name} of {first.test}: not finite")
+            raise ValueError(f"{name} of {row.test}: not finite")
         return number
 
 
@@ -135,8 +128,8 @@ def spoken(claim: Claim, found: Sequence[Finding]) -> str:
 
 def apart(claim: Claim, found: Sequence[Finding]) -> dict[str, str]:
     """Returns the verdict on synthetic motion alone and on recordings alone."""
-    parts = {"synthetic": False, "real": True}.items()
-    return {name: verdict(claim, [f for f in found if is_real(f) == real]) for name, real in parts}
+    parts = enumerate(("synthetic", "real"))
+    return {name: verdict(claim, [f for f in found if is_real(f) == real]) for real, name in parts}
 
 
 def is_real(finding: Finding) -> bool:

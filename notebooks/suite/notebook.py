@@ -3,17 +3,16 @@
 Profile, seed, budgets and data folder come in; figures, tables, findings, verdicts and provenance go out.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
+import math
 import os
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,12 +35,13 @@ from suite import findings, ledger, staleness
 from suite.findings import Claim, Criterion, Finding, Record
 
 PROFILES = ("smoke", "full")
+_scratch = cache(lambda: tempfile.TemporaryDirectory(prefix="motionlab-"))
 
 
 def setup(
     notebook: str, *, profile: str | None, seed: int, budgets: Mapping[str, Mapping[str, object]],
     data: str | None = None,
-) -> Lab:  # fmt: skip
+) -> "Lab":  # fmt: skip
     """Opens the lab for one notebook ("02_rotations_that_jump") and prints where it runs.
 
     Args:
@@ -60,16 +60,17 @@ def setup(
         raise DataError("no such folder", path=data, remedy="set MOTIONLAB_DATA to the unpacked recordings")
     viz.draft = profile == "smoke" and bool(os.environ.get("MOTIONLAB_BATCH"))  # a person wants to see whole films
     parallel.one_thread()
-    here, budget = Path.cwd(), SimpleNamespace(**budgets[profile])
-    claims = findings.load_claims(here / "claims.toml")
-    lab = Lab(notebook, profile, seed, budget, Path(data) if data else None, claims, here)
+    budget, file = SimpleNamespace(**budgets[profile]), Path.cwd() / f"{notebook}.ipynb"
+    claims, record = findings.load_claims(file.parent / "claims.toml"), findings.record_of(file)
+    code = staleness.code_hash(file) if file.exists() else ""
+    lab = Lab(notebook, profile, seed, budget, Path(data) if data else None, claims, file.parent, record, code)
     lab.say(lab.headline())
     return lab
 
 
 @dataclass
 class Lab:
-    """One notebook's bench. Made by :func:`setup`."""
+    """One notebook's bench, made by :func:`setup`. recorded, code: its record and a hash of its cells, as it opened."""
 
     notebook: str
     profile: str
@@ -78,14 +79,11 @@ class Lab:
     data: Path | None
     claims: dict[str, Claim]
     folder: Path
+    recorded: Record
+    code: str
     found: list[Finding] = field(default_factory=list)
     marks: staleness.Fingerprint = field(default_factory=dict)
     opened: float = field(default_factory=time.perf_counter)
-
-    @property
-    def number(self) -> str:
-        """The notebook's number, "02" or "05a"."""
-        return staleness.number_of(self.notebook)
 
     def headline(self) -> str:
         """Returns profile, data, seed, device and versions, and how long a run took when it was last recorded."""
@@ -94,12 +92,11 @@ class Lab:
         cpu = f"CPU, {torch.get_num_threads()} threads"
         device = torch.cuda.get_device_name() if torch.cuda.is_available() else cpu
         short = "  \nA short run: readings in the text are those of the full one." if self.profile == "smoke" else ""
-        known, cost = self._record().provenance, "It was never recorded how long a run takes."
+        known, cost = self.recorded.provenance, "It was never recorded how long a run takes."
         if "seconds" in known:
-            took, brief = staleness.duration(float(known["seconds"])), float(known.get("smoke seconds", "nan"))
-            if worked := known.get("processor seconds"):
-                took += f" ({staleness.duration(float(worked))} of a processor)"
-            cost = f"When it was last recorded, a full run took {took}, a short one {brief:.0f} s."
+            took, worked = (staleness.duration(known[name]) for name in ("seconds", "processor seconds"))
+            brief = f"a full run took {took} ({worked} of a processor), a short one {known.get('smoke seconds', '?')} s"
+            cost = f"When it was last recorded, {brief}."
         return (
             f"**{self.notebook}**, profile *{self.profile}*, seed {self.seed}, on {where}.  \n"
             f"Python {platform.python_version()}, {packages}; {device}.{short}  \n{cost}"
@@ -116,23 +113,19 @@ class Lab:
 
     def figure(self, picture: object, number: str, caption: str) -> None:
         """Shows a matplotlib Figure, an RGB array (H, W, 3) or a film, with its caption below."""
+        file = io.BytesIO()
         if isinstance(picture, Figure):
-            display(Image(_png(picture.savefig, dpi=110, bbox_inches="tight")))
+            picture.savefig(file, dpi=110, bbox_inches="tight")
             plt.close(picture)
         elif isinstance(picture, np.ndarray):
             small = Pillow.fromarray(picture).quantize(256, dither=Pillow.Dither.NONE)  # a third of the bytes
-            display(Image(_png(small.save, optimize=True)))
-        else:
-            display(HTML(picture._repr_html_()))
+            small.save(file, "png", optimize=True)
+        display(Image(file.getvalue()) if file.tell() else HTML(picture._repr_html_()))
         self.say(f"**Figure {number}.** {caption}")
-
-    @cached_property
-    def _workbench(self) -> tempfile.TemporaryDirectory:
-        return tempfile.TemporaryDirectory(prefix="motionlab-")
 
     def scratch(self, name: str) -> Path:
         """Returns a path for a film or file of this run in a folder that is deleted afterwards."""
-        return Path(self._workbench.name) / name
+        return Path(_scratch().name) / name
 
     def table(self, rows: Sequence[Mapping[str, object]], caption: str = "") -> None:
         """Shows rows (all with the same keys) as a Markdown table; floats with three digits."""
@@ -155,8 +148,8 @@ class Lab:
 
         The numbers are this run's in the full profile. In the smoke profile they are those of the committed record.
         """
-        found = self.settled() if self.profile == "full" else self._record().findings
-        mine = [claim for claim in self.claims.values() if claim.notebook == self.number]
+        found = self.settled() if self.profile == "full" else self.recorded.findings
+        mine = [claim for claim in self.claims.values() if claim.notebook == staleness.number_of(self.notebook)]
         said = [(c, ledger.spoken(c, found), ledger.found_answer(c, found)) for c in mine]
         self.say("\n".join(f'- **{c.id}**, "{c.title}": **{verdict}.** {answer}' for c, verdict, answer in said))
 
@@ -187,19 +180,16 @@ class Lab:
             source: "synthetic" or the recording set; one finding per test and source.
             statistic: as in :func:`motionlab.intervals.interval`; also applied to ``baseline``.
         """
-        rule = self.criterion(test)
-        samples = torch.as_tensor(samples, dtype=torch.float64).flatten()
-        value, low, high = (float("nan"),) * 3
-        if n := samples.numel():
-            value, low, high = interval(samples, statistic, self.generator(f"{test}/{source}"))
-        if baseline is not None:
-            baseline = torch.as_tensor(baseline, dtype=torch.float64).flatten()
-            generator = self.generator(f"{test}/{source}/baseline")
-            baseline = interval(baseline, statistic, generator)[0] if baseline.numel() else None
-        verdict = findings.judge(rule, low, high, n)
+        rule, name = self.criterion(test), f"{test}/{source}"
+        rival = [] if baseline is None else baseline
+        samples, rival = (torch.as_tensor(x, dtype=torch.float64).flatten() for x in (samples, rival))
+        value, low, high = (math.nan,) * 3
+        if n := len(samples):
+            value, low, high = interval(samples, statistic, self.generator(name))
+        base = interval(rival, statistic, self.generator(f"{name}/baseline"))[0] if len(rival) else None
         finding = Finding(
-            test, source, value, low, high, n, rule.unit, statistic, rule.bound_text(), verdict, self.notebook,
-            self.profile, rule.baseline, baseline, note,
+            test, source, value, low, high, n, rule.unit, statistic, rule.bound_text(),
+            findings.judge(rule, low, high, n), self.notebook, self.profile, rule.baseline, base, note,
         )  # fmt: skip
         self.found = [f for f in self.found if (f.test, f.source) != (test, source)] + [finding]
         return finding
@@ -224,33 +214,24 @@ class Lab:
 
     def stale(self) -> list[str]:
         """Lists how this smoke run differs from its record, a phrase each."""
-        record = self._record()
-        measured = record.fingerprint or self.marks or self.found
-        if self.profile != "smoke" or not record.source_hash or not measured:
+        if self.profile != "smoke" or not self.recorded.source_hash:
             return []
-        if not record.fingerprint:
-            return ["the record has no fingerprint: python -m suite regenerate --fingerprints " + self.number]
-        return record.moved(self._measured(0.0, 0.0))
+        if not self.recorded.fingerprint:
+            remedy = f"python -m suite regenerate --fingerprints {staleness.number_of(self.notebook)}"
+            return [f"the record has no fingerprint: {remedy}"]
+        return self.recorded.moved(self._measured())
 
     def settled(self) -> list[Finding]:
         """Returns this run's findings, with the recorded ones where this run may not judge. A test that needs the full
         profile or real recordings repeats what the last full run recorded, so that verdicts read the same on every
         machine. A full run takes over old rows only where the notebook's code is still theirs."""
-        record = self._record()
-        recorded = {(f.test, f.source): f for f in record.findings}
+        recorded = {(f.test, f.source): f for f in self.recorded.findings}
         fresh = {(f.test, f.source): f for f in self.found}
         away = {k: r for k, r in recorded.items() if self.data is None and k not in fresh and r.source != "synthetic"}
         if self.profile == "full":
-            return [*(away if record.source_hash == self._code() else {}).values(), *fresh.values()]
+            return [*(away if self.recorded.source_hash == self.code else {}).values(), *fresh.values()]
         slow = {k: r for k, r in recorded.items() if "full" in self.criterion(r.test).needs}
         return [value for key, value in (recorded | fresh | slow).items() if key in fresh | away | slow]
-
-    def _record(self) -> Record:
-        return findings.record_of(self.folder / f"{self.notebook}.ipynb")
-
-    def _code(self) -> str:
-        file = self.folder / f"{self.notebook}.ipynb"
-        return staleness.code_hash(file) if file.exists() else ""
 
     def findings(self, *, fold: bool = False) -> None:
         """Shows every number measured in this run; fold: behind a click."""
@@ -277,38 +258,30 @@ class Lab:
         self.fold("Test, bound and verdict", rows) if fold else self.table(rows)
 
     def close(self) -> None:
-        """Compares a smoke run with the record, and writes one where that is asked for.
-
-        A run of ``make full`` ($MOTIONLAB_RECORD) writes results/NN.json; any run writes to $MOTIONLAB_RESULTS when
-        that is set; others write nothing.
+        """Writes this run's record into $MOTIONLAB_RESULTS, if set; compares a smoke run with the one on file.
 
         Raises:
             StaleRecord: a smoke run differs from its fingerprint, and $MOTIONLAB_VERIFY is set.
         """
-        seconds, worked = time.perf_counter() - self.opened, sum(os.times()[:4])  # with what it waited for
-        folder = self.folder / "results" if self.profile == "full" and os.environ.get("MOTIONLAB_RECORD") else None
-        if folder := os.environ.get("MOTIONLAB_RESULTS") or folder:
-            findings.save_record(Path(folder) / f"{self.number}.json", self._measured(seconds, worked))
+        now = self._measured()
+        if folder := os.environ.get("MOTIONLAB_RESULTS"):
+            findings.save_record(Path(folder) / f"{staleness.number_of(self.notebook)}.json", now)
         if moved := self.stale():
             if os.environ.get("MOTIONLAB_VERIFY"):
-                raise staleness.StaleRecord(self.notebook, moved, self._record().seconds)
+                raise staleness.StaleRecord(self.notebook, moved, self.recorded.provenance)
             self.say("**The record is not what this code gives** (or a knob was turned): " + "; ".join(moved) + ".")
-        self.say(f"Ran in {seconds:.0f} s, {worked:.0f} s of processor time; {len(self.found)} findings.")
+        took, worked = now.provenance["seconds"], now.provenance["processor seconds"]
+        self.say(f"Ran in {took} s, {worked} s of processor time; {len(self.found)} findings.")
 
-    def _measured(self, seconds: float, worked: float) -> Record:
+    def _measured(self) -> Record:
         """The record of this run."""
         provenance = {name: version(name) for name in ("torch", "kornia", "pyvista", "numpy")}
         provenance |= {"profile": self.profile, "seed": str(self.seed), "python": platform.python_version()}
-        provenance |= {"seconds": f"{seconds:.0f}", "processor seconds": f"{worked:.0f}"}
+        worked = sum(os.times()[:4])  # with what it waited for
+        provenance |= {"seconds": f"{time.perf_counter() - self.opened:.0f}", "processor seconds": f"{worked:.0f}"}
         marks = self._fingerprint() if self.profile == "smoke" else {}
         seen = {"weights": checkpoint.loaded(), "recordings": staleness.recordings_digest(self.data)}
-        return Record(self.notebook, self._code(), tuple(self.settled()), provenance, marks, **seen)
-
-
-def _png(write: Callable[..., object], **how: object) -> bytes:
-    buffer = io.BytesIO()
-    write(buffer, format="png", **how)
-    return buffer.getvalue()
+        return Record(self.notebook, self.code, tuple(self.settled()), provenance, marks, **seen)
 
 
 def _markdown_table(rows: Sequence[Mapping[str, object]]) -> str:

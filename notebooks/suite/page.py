@@ -1,26 +1,22 @@
 """One notebook as a page: text, pictures, films and formulas as HTML that needs no script and no network."""
 
-from __future__ import annotations
-
 import base64
 import html
 import itertools
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
+import nbformat
 from latex2mathml.converter import convert
 from nbconvert.filters import Highlight2HTML, ansi2html
 from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 from PIL import Image
 
+from suite.findings import Claim, Record
 from suite.staleness import number_of
-
-if TYPE_CHECKING:
-    from suite.findings import Claim, Record
-    from suite.report import Check
 
 _EMBEDDED = re.compile(r'data:(?:image|video)/([\w+]+);base64,([^"]+)')
 _PICTURE = re.compile(r"<(?:video|img)\b[^<]*(?:</video>)?\s*")
@@ -29,8 +25,7 @@ _HIGHLIGHT = Highlight2HTML(pygments_lexer="ipython3")
 _SHORT = 60  # characters: a first sentence such as "No." needs the next one
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A picture or film that a notebook stores: its file and that of its first frame, relative to the report."""
 
     file: str
@@ -47,6 +42,15 @@ class Picture:
     def alt(self) -> str:
         """What it shows, in the first sentence of its caption."""
         return re.sub(r"[*`$]", "", _SENTENCE.split(self.caption.strip())[0])
+
+
+class Check(NamedTuple):
+    """What today's run says: "good", "bad" or "" (nothing), a sentence, details, how many findings agree."""
+
+    mark: str
+    said: str
+    details: tuple[str, ...] = ()
+    agree: int = 0
 
 
 @dataclass
@@ -74,8 +78,6 @@ class Page:
 
 def read(notebook: Path, out: Path) -> Page:
     """Reads a notebook with its stored outputs; writes its pictures and films into ``out``/media."""
-    import nbformat  # takes seconds to load
-
     (out / "media").mkdir(parents=True, exist_ok=True)
     book, number, numbers = nbformat.read(notebook, as_version=4), number_of(notebook.stem), itertools.count(1)
 
@@ -85,8 +87,7 @@ def read(notebook: Path, out: Path) -> Page:
         (out / file).write_bytes(base64.b64decode(embedded[2]))
         return file
 
-    pictures, body = [], []
-    code = ""  # that showed nothing yet: folded together with what follows
+    pictures, body, code = [], [], ""  # code that showed nothing yet: folded together with what follows
     for cell in (*book.cells, nbformat.v4.new_markdown_cell("")):
         if cell.cell_type == "code":
             code += _HIGHLIGHT(cell.source)
@@ -101,13 +102,14 @@ def read(notebook: Path, out: Path) -> Page:
             pictures += [each] if isinstance(each, Picture) else []
             body.append(_figure(each) if isinstance(each, Picture) else each)
     first = next((cell.source for cell in book.cells if cell.cell_type == "markdown"), "")
-    answer = _said(first, "Answer", "We find")
+    answer = _said(first, "Answer")
     points = re.findall(r"^- \*\*(.+?)\*\*", answer, re.MULTILINE)
+    opening, *more = _SENTENCE.split(answer)
     title = re.match(r"# (?:\S+ · )?(.*)", first)
     return Page(
         name=notebook.stem, number=number, title=title[1] if title else notebook.stem,
-        question=_inline(_said(first, "Question")),
-        answer=_inline(points[0] if answer.startswith("- ") else _begin(answer)), points=list(map(_inline, points)),
+        question=_inline(_said(first, "Question")), points=list(map(_inline, points)),
+        answer=_inline(" ".join([opening, *more[: len(opening) <= _SHORT]])),
         pictures=pictures, picture=min(pictures, key=lambda each: not each.film, default=None),
         body=re.sub(r'\.ipynb(?=["#])', ".html", "\n".join(body)),  # links to other notebooks
     )  # fmt: skip
@@ -144,19 +146,10 @@ def _inline(text: str) -> str:
     return markdown(text).strip().removeprefix("<p>").removesuffix("</p>")
 
 
-def _said(text: str, *heads: str) -> str:
-    """The paragraph, and a list right below it, that begins with one of these words in bold."""
-    head = rf"^\*\*(?:{'|'.join(heads)})\.?\*\*(?: \([^)]*\)\.)?\s*"
-    found = re.search(head + r"(.+?)(?=\n\n(?!- )|\Z)", text, re.MULTILINE | re.DOTALL)
+def _said(text: str, head: str) -> str:
+    """The paragraph, and a list right below it, that begins with this word in bold."""
+    found = re.search(rf"^\*\*{head}\.\*\*\s*(.+?)(?=\n\n(?!- )|\Z)", text, re.MULTILINE | re.DOTALL)
     return found[1] if found else ""
-
-
-def _begin(text: str) -> str:
-    """The first sentence; where it is short, with those after it."""
-    said = ""
-    for sentence in _SENTENCE.split(text):
-        said += f" {sentence}" if len(said) <= _SHORT else ""
-    return said.strip()
 
 
 # ------------------------------------------------------------------------------------------------------------- outputs
@@ -169,7 +162,7 @@ def _shown(outputs: list, keep: Callable[[re.Match[str]], str], out: Path) -> li
         if "image/png" in data:
             embedded = f'<img src="data:image/png;base64,{data["image/png"]}">'
         if text.startswith("**Figure") and shown and isinstance(shown[-1], Picture):
-            shown[-1] = replace(shown[-1], caption=text)
+            shown[-1] = shown[-1]._replace(caption=text)
         elif text:
             shown.append(markdown(text))
         elif embedded and _PICTURE.fullmatch(embedded):

@@ -1,7 +1,5 @@
 """What README.md and docs/scoreboard.md say of the results, written from the records."""
 
-from __future__ import annotations
-
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -10,7 +8,6 @@ from pathlib import Path
 from motionlab.errors import DataError
 from suite import execute, findings, ledger
 from suite.findings import Claim, Finding
-from suite.staleness import number_of
 
 #: Around what is written into a page; the rest of it is a person's.
 MARKS = ("<!-- findings:start -->", "<!-- findings:end -->")
@@ -31,11 +28,10 @@ def update(root: Path) -> None:
     found = findings.load_results(execute.NOTEBOOKS / "results")
     for name, written in (("docs/scoreboard.md", scoreboard), ("README.md", first_findings)):
         path, (start, end) = root / name, MARKS
-        text = path.read_text(encoding="utf-8")
-        if start not in text or end not in text:
+        before, _, rest = path.read_text(encoding="utf-8").partition(f"{start}\n")
+        if end not in rest:
             raise DataError("no marks for the findings", path=path, remedy=f"add the lines {start} and {end}")
-        whole = f"{text.split(start)[0]}{start}\n{written(claims, found)}{end}{text.split(end)[1]}"
-        path.write_text(whole, encoding="utf-8")
+        path.write_text(f"{before}{start}\n{written(claims, found)}{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 def first_findings(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str:
@@ -46,7 +42,7 @@ def first_findings(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str
     lines = []
     for headline in tomllib.loads((execute.NOTEBOOKS / "claims.toml").read_text(encoding="utf-8"))["headline"]:
         named = [claims[name] for name in headline["claims"]]
-        tests = sum((claim.tests for claim in named), ())
+        tests = [test for claim in named for test in claim.tests]
         said = ledger.answer(Claim("README", "", "", "", "", answer=headline["says"], tests=tests), found)
         lines.append(f"- {said} ({_link(named[0].notebook, 'notebooks')})\n")
     counts = Counter(ledger.verdict(claim, found) for claim in claims.values())
@@ -67,7 +63,6 @@ def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _link(notebook: str, folder: str) -> str:
-    """A link to the notebook of a number, or of a name that begins with one."""
-    number = number_of(notebook)
+def _link(number: str, folder: str) -> str:
+    """A link to the notebook of a number."""
     return f"[{number}]({folder}/{next(execute.NOTEBOOKS.glob(f'{number}_*.ipynb')).name})"

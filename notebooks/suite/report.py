@@ -5,25 +5,20 @@ and nothing comes from elsewhere, so that a folder or a static host serves it as
 committed: a short run is compared with their records, and its own numbers are not shown. A full run shows its own.
 """
 
-from __future__ import annotations
-
 import math
 import shutil
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 import jinja2
 
-from suite import execute, findings, ledger, staleness
+from suite import execute, findings, ledger, page, staleness
 from suite.execute import Run
 from suite.findings import Claim, Finding, Record
-
-if TYPE_CHECKING:
-    from suite.page import Page
+from suite.page import Check, Page
 
 #: The film that the page begins with, by its caption; without it, the first.
 FILM = "**Figure 00.2.**"
@@ -33,24 +28,6 @@ PARTS = {
     "00": "Start here", "01": "Motion, rotations, skin", "04": "A prior of transitions: repairing what a camera saw",
     "10": "A diffusion model: making motion", "99": "All answers",
 }  # fmt: skip
-#: A verdict's colour and how it reads in a chip; the ledger's come in the order in which they are listed.
-_VERDICTS = {
-    ledger.CONFIRMED: ("#1a7f37", "confirmed"), ledger.CONDITION: ("#9a6700", "true on a condition"),
-    ledger.REFUTED: ("#b3261e", "refuted"), ledger.CONSTRUCTION: ("#0b6e99", "by construction"),
-    ledger.UNDECIDED: ("#57606a", "undecided"), ledger.OPEN: ("#6e7781", "not measured yet"),
-    findings.HOLDS: ("#1a7f37", "holds"), findings.FAILS: ("#b3261e", "does not hold"),
-    findings.UNJUDGED: ("#57606a", "cannot be judged"),
-}  # fmt: skip
-
-
-class Check(NamedTuple):
-    """What today's run says of a notebook: "good", "bad" or "" (nothing), in a sentence, with details; and how many
-    findings agree with the record."""
-
-    mark: str
-    said: str
-    details: tuple[str, ...] = ()
-    agree: int = 0
 
 
 def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: bool = True) -> list[Run]:
@@ -62,16 +39,15 @@ def write_report(out: Path, profile: str, names: Sequence[str] = (), *, run: boo
     paths, today, ran = execute.find_notebooks(names), out / "today", []
     shutil.rmtree(today, ignore_errors=True)
     today.mkdir(parents=True)
-    environment = {"MOTIONLAB_PROFILE": profile, "MOTIONLAB_BATCH": "1"} | execute.data_variable()
-    environment |= {"MOTIONLAB_RESULTS": str((today / "results").resolve())}
+    environment = {"MOTIONLAB_PROFILE": profile, "MOTIONLAB_RESULTS": str((today / "results").resolve())}
     try:
         if run:
-            execute.run_side_by_side([(path, today / path.name) for path in paths], environment, done=ran.append)
+            execute.run_side_by_side([(path, today / path.name) for path in paths], environment, ran)
     finally:
         for entry in build(out, ran, full=profile == "full"):
             if entry.check.mark == "bad":
                 print(f"{entry.name}: {entry.check.said}")
-    return sorted(ran, key=lambda each: each.notebook)
+    return sorted(ran)
 
 
 def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[Page]:
@@ -79,8 +55,6 @@ def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[Pa
 
     Of a short run it compares the numbers with the records; what agrees leaves nothing but these numbers behind.
     """
-    from suite import page  # takes seconds to load
-
     today = {run.notebook: run for run in runs}
     claims = findings.load_claims(execute.NOTEBOOKS / "claims.toml")
     found = findings.load_results(execute.NOTEBOOKS / "results")
@@ -89,7 +63,7 @@ def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[Pa
         run, copy = today.get(path.stem), out / "today" / path.name
         record, now = findings.record_of(path), findings.record_of(copy)
         check = _check(run, record, now, full=full)
-        if full and run and run.ok:
+        if full and run and not run.error:
             path, record = copy, now
             found = [*(f for f in found if f.notebook != path.stem), *record.findings]
         elif check.mark == "good":
@@ -98,9 +72,9 @@ def build(out: Path, runs: Sequence[Run] = (), *, full: bool = False) -> list[Pa
         real = record.fingerprint_on_recordings or any(map(ledger.is_real, record.findings))
         needs = "synthetic motion and recordings" if real else "synthetic motion alone"
         entry.record, entry.check, entry.needs = record, check, needs
-    verdicts = {claim: ledger.verdict(claim, found) for claim in claims.values()}
+    verdicts = [(claim, ledger.verdict(claim, found)) for claim in claims.values()]
     for entry in entries:
-        entry.claims = [(claim, said) for claim, said in verdicts.items() if claim.notebook == entry.number]
+        entry.claims = [(claim, said) for claim, said in verdicts if claim.notebook == entry.number]
     _write(out, entries, verdicts, found)
     return entries
 
@@ -110,8 +84,8 @@ def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check
     if run is None:
         return Check("", "Not checked today")
     day = f"today ({time.strftime('%Y-%m-%d')})"
-    if not run.ok:
-        return Check("bad", f"Run {day}: {run.status()}", (run.error,))
+    if run.error:
+        return Check("bad", f"Run {day}: {run.status}", (run.error,))
     if full:
         return Check("good", f"Run in full {day}")
     expected = record.expected(now.recordings)
@@ -124,7 +98,7 @@ def _check(run: Run | None, record: Record, now: Record, *, full: bool) -> Check
 
 
 # --------------------------------------------------------------------------------------------------------------- pages
-def _write(out: Path, entries: Sequence[Page], verdicts: Mapping[Claim, str], found: Sequence[Finding]) -> None:
+def _write(out: Path, entries: Sequence[Page], verdicts: Sequence[tuple[Claim, str]], found: Sequence[Finding]) -> None:
     """Write the gallery, a page for every notebook, that of the tests, and their style."""
     files = jinja2.FileSystemLoader(TEMPLATES)
     environment = jinja2.Environment(loader=files, autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -133,7 +107,7 @@ def _write(out: Path, entries: Sequence[Page], verdicts: Mapping[Claim, str], fo
     films = [picture for entry in entries for picture in entry.pictures if picture.film]
     environment.globals |= {
         "entries": entries, "parts": {title: list(some) for title, some in parts}, "claims": verdicts,
-        "verdicts": _VERDICTS, "findings": found, "ledger": ledger,
+        "findings": found, "ledger": ledger,
         "film": max(films, key=lambda film: film.caption.startswith(FILM), default=None),
         "pages": {entry.number: f"{entry.name}.html" for entry in entries},
         "points": next((entry.points for entry in reversed(entries) if entry.points), ()),

@@ -5,16 +5,14 @@ measures, each number with the distance within which another machine stays. Movi
 it; a changed constant does. What the clock decides is no part of it.
 """
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from motionlab.errors import DataError
 
@@ -32,7 +30,7 @@ class Mark(NamedTuple):
     value: float | None
     within: float
 
-    def agrees(self, other: Mark) -> bool:
+    def agrees(self, other: Self) -> bool:
         """Returns whether both are None, or no further apart than either allows."""
         if self.value is None or other.value is None:
             return self.value is other.value
@@ -51,17 +49,18 @@ def number_of(notebook: str) -> str:
 
 
 class StaleRecord(DataError):
-    """A record that its code no longer gives; ``moved`` says in what."""
+    """A record that its code no longer gives: in what (``moved``), and what it says of its run (``provenance``)."""
 
-    def __init__(self, notebook: str, moved: Sequence[str], seconds: float | None = None) -> None:
-        took = "" if seconds is None else f" ({duration(seconds)} when last run)"
+    def __init__(self, notebook: str, moved: Sequence[str], provenance: Mapping[str, str]) -> None:
+        took = f" ({duration(provenance['seconds'])} when last run)" if "seconds" in provenance else ""
         remedy = f"make full NOTEBOOKS={number_of(notebook)}{took}"
         super().__init__("stale: " + "; ".join(moved), place=f"record of {notebook}", remedy=remedy)
 
 
-def duration(seconds: float) -> str:
-    """Returns a duration as a person says it: "8 min", or "1.6 h"."""
-    return f"{seconds / 3600:.1f} h" if seconds >= 5400 else f"{max(1, round(seconds / 60))} min"
+def duration(seconds: str) -> str:
+    """Returns seconds, as a record has them, as a person says it: "8 min", or "1.6 h"."""
+    minutes = float(seconds) / 60
+    return f"{minutes / 60:.1f} h" if minutes >= 90 else f"{max(1, round(minutes))} min"
 
 
 def mark(value: float | None, scale: float = 0.0, tolerance: float = TOLERANCE) -> Mark:
@@ -77,17 +76,15 @@ def merged(runs: Sequence[Fingerprint]) -> tuple[Fingerprint, list[str]]:
     Returns:
         the fingerprint, and what differs too much, or is not in all of them, to be part of it.
     """
-    found, unsteady = {}, []
-    for name, (value, within) in (runs[0] if runs else {}).items():
+    found = {}
+    for name, (value, within) in runs[0].items():
         marks = [run[name] for run in runs if name in run]
         known = [mark.value for mark in marks if mark.value is not None]
         spread = max((abs(each - value) for each in known if value is not None), default=0.0)
         size = min((mark.within for mark in marks if mark.within), default=0.0) / TOLERANCE
-        if len(marks) < len(runs) or len(known) not in (0, len(runs)) or spread > STEADY * size:
-            unsteady.append(name)
-        else:
+        if len(marks) == len(runs) and len(known) in (0, len(runs)) and spread <= STEADY * size:
             found[name] = Mark(value, max(within, SLACK * spread))
-    return found, unsteady
+    return found, [name for name in runs[0] if name not in found]
 
 
 def differences(recorded: Fingerprint, now: Fingerprint) -> list[str]:
