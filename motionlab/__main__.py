@@ -84,9 +84,9 @@ def _parser(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
     command = add("train", "train a model, and keep its recipe with it", "transition --out prior")
     if "train" in arguments[:1]:  # its recipes come with torch
-        from motionlab.training import train
+        from motionlab.training import courses
 
-        train.add_options(command)
+        courses.add_options(command)
     return parser
 
 
