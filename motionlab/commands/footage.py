@@ -114,7 +114,7 @@ def _fit_one(options: argparse.Namespace) -> int:
     try:
         record = fit.run_clip(options.keypoints, options.out, video=options.video, **how)
     except KeyboardInterrupt:
-        kept = len(list((options.out / "windows").glob("*.npz")))
+        kept = len(list((options.out / "windows").glob("*.safetensors")))
         print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
         raise
     for line in scene_report.lines(record):
