@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from motionlab import examples, io, retarget
-from motionlab.__main__ import _parser
 from motionlab.bench import judge
 from motionlab.bench.person_windows import PersonWindows
 from motionlab.commands import onnx_export
+from motionlab.commands.options import parser
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer
 from motionlab.diffusion.windows import on_standard
@@ -135,7 +135,7 @@ COMMAND = r"(?:python -m |`|^)motionlab ([a-z][^`\n#]+)"
 def refused(words: str) -> bool:
     """Whether the command line does not understand a command, or cannot write what it is asked to."""
     try:
-        options = _parser(words.split()[:1]).parse_args(words.split())
+        options = parser().parse_args(words.split())
     except SystemExit:
         return True
     return words.startswith("fit ") and options.out is not None and bool(options.out.suffix)

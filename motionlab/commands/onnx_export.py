@@ -8,6 +8,7 @@ root and rotations, known frames to the bit. Contacts are told nowhere. The firs
 
 from __future__ import annotations
 
+import argparse
 import warnings
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.diffusion import state
-from motionlab.diffusion.completer import Completer
+from motionlab.diffusion.completer import Completer, load
 from motionlab.errors import DataError, MissingData
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import FPS, Motion
@@ -86,3 +87,10 @@ def export(model: Completer, path: Path | str) -> None:
         warnings.simplefilter("ignore", FutureWarning)
         how = {"dynamo": True, "external_data": False, "optimize": True, "verbose": False}
         torch.onnx.export(gaps, sample, str(path), input_names=list(INPUTS), output_names=list(OUTPUTS), **how)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes a completer that ships, or another."""
+    export(load(options.model), options.out)
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.1f} MB; takes {', '.join(INPUTS)}")
+    return 0

@@ -320,32 +320,8 @@ def _about(course: Course, run: TrainingRun, row: dict[str, float]) -> dict:
     }  # fmt: skip
 
 
-def add_options(command: argparse.ArgumentParser) -> None:
-    """Adds what ``train NAME`` takes."""
-    command.add_argument(
-        "model", choices=("small", "features", *COURSES),
-        help="pose and first states; what generated motion is judged in; what completes motions, a denoiser and a "
-        "transition prior, trained until Ctrl-C",
-    )  # fmt: skip
-    command.add_argument("--steps", type=_count, help="optimiser steps, the whole schedule (default: the recipe's)")
-    command.add_argument("--seed", type=int, default=0, help="default: 0")
-    command.add_argument(
-        "--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion"
-    )
-    command.add_argument("--out", type=Path, help="default: the checkpoint that ships; of small, its folder")
-    command.add_argument(
-        "--more", action="store_true", help=f"{', '.join(COURSES)}: go on from the kept run, or what ships"
-    )
-    command.set_defaults(run=_train)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number above 0, not {text!r}")
-    return int(text)
-
-
-def _train(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """``train``: what is small in minutes, a course until Ctrl-C."""
     name, out = options.model, options.out
     if options.more and name not in COURSES:
         raise DataError(f"{name} takes no --more", remedy=f"it is for {', '.join(COURSES)}")

@@ -4,6 +4,7 @@ python -m motionlab models --data FOLDER    # measures on ``test`` people, into 
 python -m motionlab models                  # writes checkpoints/README.md from the recipes
 """
 
+import argparse
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -182,3 +183,12 @@ def write_readme() -> Path:
         text += f"## Generation in 250 steps, when it shipped (notebook 11 takes 1000, of other windows)\n\n{table}\n\n"
     write_whole(path, f"{text}Licence: MIT, as the project's. {_CREDIT}\n")
     return path
+
+
+def run(options: argparse.Namespace) -> int:
+    """``models``: writes the table; with recordings, measures the transition priors first."""
+    for kind in PRIORS if options.data else ():
+        for path in sorted(checkpoint.SHIPPED.glob(f"{kind}.json")):
+            judge_prior(path.stem, options.data)
+    print(write_readme())
+    return 0
