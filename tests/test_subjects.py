@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from motionlab import splits, subjects
+from motionlab import splits
 
 #: Partners in one scene, and copies of one another, as the review of the data found them.
 TOGETHER = [
@@ -32,28 +32,26 @@ def files(performance):
 
 def crossing(ids):
     """Performances of which the sources disagree by whom they are, or in which part."""
-    whose = {i: {subjects.person_of(*file) for file in files(i)} for i in ids}
-    return [i for i, found in whose.items() if len(found) > 1 or len({subjects.part_of(p) for p in found}) > 1]
+    whose = {i: {splits.person_of(*file) for file in files(i)} for i in ids}
+    return [i for i, found in whose.items() if len(found) > 1 or len({splits.part_of(p) for p in found}) > 1]
 
 
 def apart(pairs):
     """Pairs of subjects that are not in one part."""
-    return [pair for pair in pairs if len({subjects.part_of(f"cmu_{subject:02}") for subject in pair}) > 1]
+    return [pair for pair in pairs if len({splits.part_of(f"cmu_{subject:02}") for subject in pair}) > 1]
 
 
 def changed(monkeypatch, change):
-    table = copy.deepcopy(subjects._table())
+    table = copy.deepcopy(splits._table())
     change(table)
-    monkeypatch.setattr(subjects, "_table", lambda: table)
+    monkeypatch.setattr(splits, "_table", lambda: table)
 
 
 # --------------------------------------------------------------------------------------------------------- CMU
 def test_no_performance_is_on_both_sides_of_the_split():
     assert crossing(IDS) == []
-    assert (
-        subjects.person_of("cmu_native", "05_02.amc") == subjects.person_of("cmu_library", "05/05_20.bvh") == "cmu_05"
-    )
-    assert Counter(subjects.part_of(f"cmu_{s:02}") for s in range(1, 145)) == {"train": 113, "val": 14, "test": 17}
+    assert splits.person_of("cmu_native", "05_02.amc") == splits.person_of("cmu_library", "05/05_20.bvh") == "cmu_05"
+    assert Counter(splits.part_of(f"cmu_{s:02}") for s in range(1, 145)) == {"train": 113, "val": 14, "test": 17}
 
 
 @pytest.mark.parametrize(
@@ -76,11 +74,11 @@ def test_partners_and_copies_stay_together(monkeypatch):
 
 # ------------------------------------------------------------------------------------------------------- others
 def test_sources_whose_people_are_not_known_are_for_training():
-    alone = tomllib.loads(subjects._TABLE.read_text(encoding="utf-8"))["alone"]
+    alone = tomllib.loads(splits._TABLE.read_text(encoding="utf-8"))["alone"]
     assert {"deepmimic", "isaacgym_amp_cmu"} <= set(alone)
     for source in alone:
         for file in (f"{source}/humanoid3d_walk.txt", f"{source}/someone/05_01.npz"):
-            assert subjects.person_of(source, file) == source and subjects.part_of(source) == "train"
+            assert splits.person_of(source, file) == source and splits.part_of(source) == "train"
     assert set(splits.REAL) <= set(alone) | {"cmu_library", "cmu_native", "cmu_amc"}  # none by chance
 
 
@@ -92,13 +90,13 @@ def test_sources_whose_people_are_not_known_are_for_training():
     ],
 )  # fmt: skip
 def test_elsewhere_a_person_is_a_folder_or_the_beginning_of_a_name(file, person):
-    assert subjects.person_of("mine", file) == person
+    assert splits.person_of("mine", file) == person
 
 
 def test_collections_that_nobody_knows_are_split_by_a_hash_that_stays():
     """sha256 of "mine/ann", as a number, leaves 5 when divided by 10: train; that of "mine/carla" 0: val."""
     known = {"ann": "train", "bob": "train", "carla": "val", "dora": "test", "emil": "test", "gus": "val"}
-    assert {name: subjects.part_of(f"mine/{name}") for name in known} == known
-    shares = Counter(subjects.part_of(f"mine/{i}") for i in range(1000))
+    assert {name: splits.part_of(f"mine/{name}") for name in known} == known
+    shares = Counter(splits.part_of(f"mine/{i}") for i in range(1000))
     assert 80 < shares["val"] < 120 and 160 < shares["test"] < 240
-    assert subjects.part_of("cmu_extra/dora") == "val"  # not one of the sources whose ids are CMU's
+    assert splits.part_of("cmu_extra/dora") == "val"  # not one of the sources whose ids are CMU's
