@@ -7,7 +7,6 @@ import html
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from itertools import groupby
 from pathlib import Path
 
 import torch
@@ -17,7 +16,7 @@ from motionlab.animate import filling
 from motionlab.animate.rewriting import write_back
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.motion import Motion
+from motionlab.motion import Motion, runs
 from motionlab.retarget import retarget
 from motionlab.viz.interactive import Player, _newest
 from motionlab.viz.movie import stage
@@ -167,16 +166,15 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
     return box
 
 
-def _runs(frames: Collection[int]) -> list[tuple[int, int]]:
-    """First and last of each run of frames without a gap."""
-    runs = groupby(enumerate(sorted(frames)), lambda pair: pair[1] - pair[0])
-    return [(run[0], run[-1]) for run in ([frame for _, frame in group] for _, group in runs)]
-
-
 def _text(frames: Collection[int], last: int) -> str:
     """Frames as a person writes them: 0,60-80,last."""
-    ends = [[("last" if end == last and end else str(end)) for end in run] for run in _runs(frames)]
+    ends = [["last" if end == last > 0 else str(end) for end in run] for run in _runs(frames, last + 1)]
     return ",".join(first if first == end else f"{first}-{end}" for first, end in ends)
+
+
+def _runs(frames: Collection[int], count: int) -> list[tuple[int, int]]:
+    """First and last of each run of frames without a gap."""
+    return [(a, b - 1) for a, b in runs(torch.isin(torch.arange(count), torch.tensor([*frames])))]
 
 
 def _strip(kept: Collection[int], count: int) -> str:
@@ -186,6 +184,6 @@ def _strip(kept: Collection[int], count: int) -> str:
     marks = "".join(
         f"<div style='{here}; left: calc({first * share:.3f}% - 1px); width: calc({(end - first) * share:.3f}% + 3px)'>"
         "</div>"
-        for first, end in _runs(kept)
+        for first, end in _runs(kept, count)
     )
     return f"<div style='position: relative; height: 8px; margin: 0 8px; background: {TILE}'>{marks}</div>"

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from motionlab.animate import filling, looping, planting, restore
+from motionlab.animate import filling, looping, restore
 from motionlab.animate.filling import Animated
 from motionlab.animate.rewriting import check_target, write_back
 from motionlab.commands import batch
@@ -104,7 +104,7 @@ def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Anima
 
 MAKERS = {
     "inbetween": _inbetween, "repair": _repair, "complete": _complete, "cycle": _cycle,
-    "plant": lambda options, motion, progress: planting.planted(motion),
+    "plant": lambda options, motion, progress: looping.planted(motion),
 }  # fmt: skip
 
 
