@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.animate import footsteps
+from motionlab.animate import foot_locking
 from motionlab.animate.foot_locking import lock_feet
 from motionlab.ik import two_bone_ik
 from motionlab.skeleton import ANKLES, BALLS, STANDARD
@@ -58,11 +58,11 @@ def test_feet_that_stay_or_are_not_said_to_stand_keep_their_time():
     way = torch.stack((0.6 * time / 40, 0 * time, 0 * time), -1).float()
     stands, known = torch.ones(1, 40, 2, dtype=torch.bool), torch.zeros(1, 40, 1, dtype=torch.bool)
     known[:, :5], known[:, 35:] = True, True
-    when, anew, moving = footsteps.retime(way, stands, known, LEG, 30.0)
+    when, anew, moving = foot_locking.retime(way, stands, known, LEG, 30.0)
     assert anew[:, 5:35].all() and not anew[known.expand_as(anew)].any() and 0 < moving.sum() < anew.sum()
     assert (when.diff(dim=1) >= 0).all() and (when[:, 5] < 5).all() and (when[:, 34] > 34).all()
     for path, said in ((0.05 * way, stands), (way, ~stands)):
-        when, anew, _ = footsteps.retime(path, said, known, LEG, 30.0)
+        when, anew, _ = foot_locking.retime(path, said, known, LEG, 30.0)
         assert torch.equal(when, time.expand_as(when)) and not anew.any()
 
 
@@ -76,7 +76,7 @@ def legs_of(along, high=0.08):
 
 
 def flown(ways, stands, known):
-    return footsteps.lift(ways, stands[None, :, None], known[None, :, None], torch.tensor([[0.08]]), LEG, 30.0)
+    return foot_locking.lift(ways, stands[None, :, None], known[None, :, None], torch.tensor([[0.08]]), LEG, 30.0)
 
 
 @pytest.mark.parametrize(("length", "high"), [(0.06, 0.03), (0.2, 0.05), (0.9, 0.08 * LEG)])
