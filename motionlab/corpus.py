@@ -121,16 +121,9 @@ def cache_folder() -> Path:
 
 
 def assemble(
-    folder: Path | str,
-    sources: Sequence[str] | None = None,
-    *,
-    kept: Path | str | None = None,
-    strict: bool = False,
-    workers: int = 1,
-    every: int = 1,
-    reading: Mapping[str, object] | None = None,
-    progress: bool = True,
-) -> Corpus:
+    folder: Path | str, sources: Sequence[str] | None = None, *, kept: Path | str | None = None, strict: bool = False,
+    workers: int = 1, every: int = 1, reading: Mapping[str, object] | None = None, progress: bool = True,
+) -> Corpus:  # fmt: skip
     """Makes a corpus of the recordings in a folder, one sub-folder per source; what is kept from before is read.
 
     Args:

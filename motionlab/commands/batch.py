@@ -51,14 +51,9 @@ class Batch:
 
 
 def run_many(
-    function: Callable[[Any], Any],
-    jobs: Sequence[Any],
-    *,
-    finished: Callable[[Any], bool] | None = None,
-    jobs_at_once: int = 1,
-    cluster: str | None = None,
-    name: Callable[[Any], str] = str,
-) -> Batch:
+    function: Callable[[Any], Any], jobs: Sequence[Any], *, finished: Callable[[Any], bool] | None = None,
+    jobs_at_once: int = 1, cluster: str | None = None, name: Callable[[Any], str] = str,
+) -> Batch:  # fmt: skip
     """Runs a function on every job that is not finished yet, each on one thread; shows progress.
 
     A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is

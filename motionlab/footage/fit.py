@@ -82,26 +82,13 @@ def _stamp(path: Path, whole: bool) -> str:
 
 
 def run_clip(
-    keypoints: str | Path | None,
-    out: str | Path,
-    *,
-    video: str | Path | None = None,
-    person: str | int | Sequence[str | int] = "longest",
-    fps: float | None = None,
-    size: tuple[int, int] | None = None,
-    layout: str | None = None,
-    camera: str | Path | None = None,
-    camera_name: str | None = None,
-    prior: str | Path | None = None,
-    pose_prior: str | Path | None = None,
-    initial: str | Path | None = None,
-    pelvis: Sequence[float] | None = None,
-    height: float | None = None,
-    draws: int = 0,
-    solver: str = "shooting",
-    quick: bool = False,
-    progress: bool | str = False,
-) -> dict[str, object]:
+    keypoints: str | Path | None, out: str | Path, *, video: str | Path | None = None,
+    person: str | int | Sequence[str | int] = "longest", fps: float | None = None, size: tuple[int, int] | None = None,
+    layout: str | None = None, camera: str | Path | None = None, camera_name: str | None = None,
+    prior: str | Path | None = None, pose_prior: str | Path | None = None, initial: str | Path | None = None,
+    pelvis: Sequence[float] | None = None, height: float | None = None, draws: int = 0, solver: str = "shooting",
+    quick: bool = False, progress: bool | str = False,
+) -> dict[str, object]:  # fmt: skip
     """Fits the people of one clip and writes a folder: motions and report together, then the film. Returns what
     ``fit.json`` says.
 
