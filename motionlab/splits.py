@@ -21,10 +21,9 @@ from motionlab.io.recordings import recordings
 from motionlab.motion import FPS, Motion, resample
 from motionlab.retarget import retarget
 
-#: Sources on which weights that ship with the project may be trained, by their licences.
-SHIPPABLE = ("cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
-#: Those that a corpus of real motion is made of (``corpus.assemble``); people, not clips, are kept apart there.
-REAL = ("cmu_library", "cmu_native", *SHIPPABLE)
+#: Sources that a corpus of real motion is made of (``corpus.assemble``), by their licences; people, not clips, are kept
+#: apart there.
+REAL = ("cmu_library", "cmu_native", "cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
 _WINDOW = 61  # of a window: two seconds
 SYNTHETIC, RECORDED = "synthetic", "recordings"
 PARTS = ("train", "val", "test")

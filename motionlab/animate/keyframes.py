@@ -111,7 +111,7 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
         count = motion.frames - len(kept)
         return (f"{count} of {motion.frames} frames made in {taken:.1f} s, {len(kept)} kept as they are", *found.notes)
 
-    def redraw(_: object) -> None:
+    def redraw(_: object = None) -> None:
         out.disabled = not attempt(make)
 
     def at() -> int:
@@ -134,11 +134,10 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
         goal = Path(file.value).resolve()
         return (f"{goal} is written: {write_back(path, goal, motion, made['motion'])}",)
 
-    def write(_: object) -> None:
-        if not out.disabled:
-            attempt(export)
-
-    again, then = _newest(redraw), _newest(write)  # in the order in which they were asked for
+    again, then = (
+        _newest(redraw),
+        _newest(lambda _: out.disabled or attempt(export)),
+    )  # in the order in which they were asked for
     for hand in (frames, chosen, method):
         hand.observe(again, names="value")
     player.hand.observe(mark, names="value")
@@ -146,7 +145,7 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
     before.on_click(lambda _: jump(max((k for k in kept if k < at()), default=at())))
     after.on_click(lambda _: jump(min((k for k in kept if k > at()), default=at())))
     out.on_click(then)
-    redraw(None)
+    redraw()
 
     def titled(title: str, *hands: ipywidgets.Widget, width: str) -> ipywidgets.VBox:
         head = ipywidgets.HTML(f"<b>{title}</b>", layout={"margin": "0 2px"})

@@ -12,10 +12,11 @@ from motionlab.animate import filling, looping, restore
 from motionlab.animate.filling import Animated
 from motionlab.animate.rewriting import check_target, write_back
 from motionlab.commands import batch
-from motionlab.commands.motions import check_film, cut, draw, is_watched, make_folder, read_motion, say_note
+from motionlab.commands.motions import check_film, cut, draw, is_watched, read_motion, say_note
 from motionlab.commands.options import WRITTEN
 from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
+from motionlab.files import writing
 from motionlab.motion import Motion
 from motionlab.retarget import retarget_onto
 
@@ -44,7 +45,8 @@ def run(options: argparse.Namespace) -> int:
     found = sorted(path for path in files if path.suffix.lower() in WRITTEN)
     if not found:
         raise DataError(f"no motion ({', '.join(WRITTEN)}) in this folder", path=options.source, remedy="name another")
-    make_folder(options.out)
+    with writing(options.out):
+        options.out.mkdir(parents=True, exist_ok=True)
     if len(found) < len(files):
         print(f"note: {len(files) - len(found)} of {len(files)} files were passed over: not {' '.join(WRITTEN)}")
     clips = [(path.name, path, None, options.out / path.name) for path in found]
@@ -112,7 +114,8 @@ def generate(options: argparse.Namespace) -> int:
     """Makes new motions."""
     if options.count < 1:
         raise DataError(f"{options.count} motions", place="--count", remedy="give a number above 0")
-    make_folder(options.out)
+    with writing(options.out):
+        options.out.mkdir(parents=True, exist_ok=True)
     if options.film:
         check_film(options.film, options.count)
     start = read_motion(options.start, options) if options.start else None

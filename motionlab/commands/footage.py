@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 from functools import partial
+from inspect import signature
 from pathlib import Path
 
 from motionlab.commands import batch
@@ -17,8 +18,7 @@ from motionlab.io.video import PICTURES
 #: a folder of images.
 _TABLES, _PER_FRAME = (".json", ".csv", ".npz"), (".json", ".txt")
 _VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
-_PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial", "pelvis",
-              "height", "draws", "solver", "quick")  # fmt: skip
+_TAKEN = signature(fit.run_clip).parameters
 
 
 def run(options: argparse.Namespace) -> int:
@@ -43,9 +43,8 @@ def _list_people(options: argparse.Namespace) -> int:
 
 
 def _fit_one(options: argparse.Namespace) -> int:
-    how = {name: getattr(options, name) for name in _PASSED_ON} | {"progress": is_watched() or "lines"}
     try:
-        record = fit.run_clip(options.keypoints, options.out, video=options.video, **how)
+        record = fit.run_clip(**_given(options), progress=is_watched() or "lines")
     except KeyboardInterrupt:
         kept = len(list((options.out / "windows").glob("*.safetensors")))
         print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
@@ -64,7 +63,7 @@ def _fit_each(options: argparse.Namespace) -> int:
         raise DataError("no folder of clips", place="--each", remedy=remedy)
     found = _clips_of(options.keypoints, options.video)
     clips = [(name, *paths, options.out / name) for name, paths in found.items()]
-    how = {name: getattr(options, name) for name in _PASSED_ON}
+    how = _given(options)
     for name in ("camera", "prior", "pose_prior", "initial"):  # for workers that stand elsewhere
         how[name] = how[name] and how[name].resolve()
     return batch.run_clips(partial(_fit_clip, how=how), clips, partial(_is_fitted, how=how), options, compared=True)
@@ -72,16 +71,23 @@ def _fit_each(options: argparse.Namespace) -> int:
 
 def _fit_clip(job: tuple, how: dict[str, object]) -> list[str]:
     """Fits one of many; says who is to be doubted."""
-    _, keypoints, video, out = job
-    record = fit.run_clip(keypoints, out, video=video, **how)
+    record = fit.run_clip(**how | _of(job))
     doubted = [f"person {row['id']} is doubtful, see report.html" for row in record["people"] if row["doubtful"]]
     guessed = [f"person {row['id']}: {text}" for row in record["people"] for text in scene_report.not_known(row)]
     return [*record["notes"], *doubted, *guessed]
 
 
 def _is_fitted(job: tuple, how: dict[str, object]) -> bool:
-    _, keypoints, video, out = job
-    return fit.is_finished(out, {"keypoints": keypoints, "video": video} | how)
+    return fit.is_finished(job[3], how | _of(job))
+
+
+def _of(job: tuple) -> dict[str, Path | None]:
+    return dict(zip(("keypoints", "video", "out"), job[1:], strict=True))
+
+
+def _given(options: argparse.Namespace) -> dict[str, object]:
+    """The options that ``run_clip`` takes."""
+    return {name: value for name, value in vars(options).items() if name in _TAKEN}
 
 
 def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Path | None, Path | None]]:

@@ -87,19 +87,6 @@ def with_standard_joints(motion: Motion) -> Motion:
     return motion if motion.skeleton.names == STANDARD.names else retarget(motion).motion
 
 
-def make_folder(path: Path) -> None:
-    """Makes a folder, and those above, unless they are there.
-
-    Raises:
-        DataError: it cannot be made, or is a file.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        message = f"this folder cannot be made: {error.strerror or error}"
-        raise DataError(message, path=path, remedy="name another folder") from error
-
-
 def cut(motion: Motion, path: Path, seconds: list[float] | None) -> Motion:
     """Returns what lies between two times; all, where none are given.
 
