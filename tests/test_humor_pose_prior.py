@@ -23,7 +23,7 @@ def model() -> PosePrior:
 
 def _varied(rot, share):
     seen = torch.ones(rot.shape[:2], dtype=torch.bool)
-    return prior_training._varied_poses(rot, seen, torch.Generator().manual_seed(0), share=share)[0]
+    return prior_training._varied_poses(rot, seen, torch.Generator().manual_seed(0), share)[0]
 
 
 def unseen() -> torch.Tensor:

@@ -7,7 +7,7 @@ millimetre per second.
 """
 
 import math
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import torch
 from torch import Tensor
@@ -54,33 +54,28 @@ def _objective(model: PosePrior, rot: Tensor, seen: Tensor, generator: torch.Gen
     found = model.decode(posterior.sample(generator))
     turn = ((found - rot).square().sum((-2, -1)) * seen).sum(-1) / (2 * 2 * POSE_TURN**2)
     place = (_joints_of(found) - _joints_of(rot)).square().sum((-2, -1)) / (2 * POSE_PLACE**2)
-    prior = Gaussian(torch.zeros_like(posterior.mean), torch.zeros_like(posterior.mean))
-    return (turn + place).mean(), kl(posterior, prior).sum(-1).mean()
+    return (turn + place).mean(), _nats(posterior)
+
+
+def _nats(posterior: Gaussian) -> Tensor:
+    """Mean KL divergence from N(0, 1)."""
+    nothing = torch.zeros_like(posterior.mean)
+    return kl(posterior, Gaussian(nothing, nothing)).sum(-1).mean()
 
 
 def _varied_poses(
-    rot: Tensor, seen: Tensor, generator: torch.Generator, *, share: float = _SHARE
+    rot: Tensor, seen: Tensor, generator: torch.Generator, share: float = _SHARE
 ) -> tuple[Tensor, Tensor]:
     """Poses (B, 21, 3, 3), half of them mirrored, a share of them with each limb from another person; and which joints
     of them were recorded (B, 21)."""
     flip = torch.rand(len(rot), 1, 1, 1, generator=generator) < 0.5
     rot = torch.where(flip, _FLIP[:, None] * rot[:, _PARTNER] * _FLIP, rot)
     seen = torch.where(flip[:, 0, 0], seen[:, _PARTNER], seen)
-    if share:
-        rot, seen = rot.clone(), seen.clone()
-        for limb in _LIMBS:
-            some = torch.nonzero(torch.rand(len(rot), generator=generator) < share)
-            other = torch.randint(len(rot), some.shape, generator=generator)
-            rot[some, limb], seen[some, limb] = rot[other, limb], seen[other, limb]
+    for limb in _LIMBS:
+        some = torch.nonzero(torch.rand(len(rot), generator=generator) < odds)
+        other = torch.randint(len(rot), some.shape, generator=generator)
+        rot[some, limb], seen[some, limb] = rot[other, limb], seen[other, limb]
     return rot, seen
-
-
-@dataclass(frozen=True)
-class _PoseRecipe:
-    steps: int
-    batch: int
-    lr: float = 1e-3  # of Adam, at the beginning
-    average: float = 0.0  # its weights are the last ones
 
 
 class _PosePriorRun(TrainingRun):
@@ -89,15 +84,15 @@ class _PosePriorRun(TrainingRun):
     clip, least = math.inf, 0.0
 
     def __init__(
-        self, recipe: _PoseRecipe, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator
+        self, steps: int, batch: int, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator
     ) -> None:
         model = seeded(int(torch.randint(2**31, (), generator=generator)), PosePrior)
         with torch.no_grad():
             model.out.weight.mul_(0.1)
             model.out.bias.copy_(rotation.matrix_to_sixd(torch.eye(3)).repeat(21))
-        count = recipe.steps * recipe.batch
-        self.drawn = torch.multinomial(odds, count, replacement=True, generator=generator).split(recipe.batch)
+        self.drawn = torch.multinomial(odds, steps * batch, replacement=True, generator=generator).split(batch)
         self.rot, self.seen = rot, seen
+        recipe = SimpleNamespace(steps=steps, lr=1e-3, average=0.0)  # its weights are the last ones
         super().__init__(recipe, "", generator, model, torch.optim.Adam(model.parameters(), lr=recipe.lr))
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
@@ -127,7 +122,7 @@ def train_pose_prior(
         raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
     odds = torch.ones(len(rot)) if weight is None else weight
     seen = torch.ones(rot.shape[:2], dtype=torch.bool) if seen is None else seen
-    run = _PosePriorRun(_PoseRecipe(steps, batch), rot, seen, odds, generator)
+    run = _PosePriorRun(steps, batch, rot, seen, odds, generator)
     run.run(every=max(1, steps // 100), progress=progress)
     return run.averaged, [(row["step"], row["miss"], row["kl"]) for row in run.curve]
 
@@ -142,11 +137,10 @@ def reconstruction(model: PosePrior, rot: Tensor) -> dict[str, float]:
     posterior = model.encode(rot)
     found = model.decode(posterior.mean)
     away = (_joints_of(found) - _joints_of(rot))[..., 1:, :].norm(dim=-1)
-    prior = Gaussian(torch.zeros_like(posterior.mean), torch.zeros_like(posterior.mean))
     return {
         "degrees": float(torch.rad2deg(rotation.geodesic(found, rot)).mean()),
         "cm": 100 * float(away.mean()),
-        "kl": float(kl(posterior, prior).sum(-1).mean()),
+        "kl": float(_nats(posterior)),
         "active": int((posterior.mean.var(0) > 0.01).sum()),
     }
 
