@@ -63,9 +63,7 @@ def _nats(posterior: Gaussian) -> Tensor:
     return kl(posterior, Gaussian(nothing, nothing)).sum(-1).mean()
 
 
-def _varied_poses(
-    rot: Tensor, seen: Tensor, generator: torch.Generator, share: float = _SHARE
-) -> tuple[Tensor, Tensor]:
+def _varied_poses(rot: Tensor, seen: Tensor, generator: torch.Generator, odds: float = _SHARE) -> tuple[Tensor, Tensor]:
     """Poses (B, 21, 3, 3), half of them mirrored, a share of them with each limb from another person; and which joints
     of them were recorded (B, 21)."""
     flip = torch.rand(len(rot), 1, 1, 1, generator=generator) < 0.5
