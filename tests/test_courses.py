@@ -65,7 +65,7 @@ def test_the_prior_goes_on_from_what_it_wrote(prior, here, monkeypatch):
     courses._kept("transition", out).unlink()
     monkeypatch.setattr(prior, "recipe", replace(SMALL, lr=1e-6))
     courses.go_on(prior, out, every=2, schedules=1)
-    run = prior.trainer.resume(courses._kept("transition", out), prior.examples)
+    run = prior.trainer.resume(courses._kept("transition", out), prior.windows)
     assert run.earlier == before["step"] and run.step == 4 and run.recipe.sampling_end == 0
     first, again = prior.load(out), run.averaged
     past = torch.randn(5, 339, generator=seeded())

@@ -35,7 +35,7 @@ from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
 from motionlab.humor.quality import quality_row
 from motionlab.training import recipes
-from motionlab.training.chain_training import ChainRecipe, ChainTraining, LiveExamples
+from motionlab.training.chain_training import ChainRecipe, ChainTraining
 from motionlab.training.completer_training import CompleterTraining
 from motionlab.training.denoiser_training import DenoiserTraining
 from motionlab.training.model_card import person_states
@@ -97,16 +97,11 @@ class Course:
         windows, takes = learnt_from(folder, FRAMES)
         return windows, person_windows(takes, FRAMES, _EACH)
 
-    @property
-    def examples(self) -> Any:
-        """What the run draws from."""
-        return self.windows
-
     def begun(self, recipe: Any, first: Any) -> TrainingRun:
         """A new run of a recipe, from the weights of a model or None; its ``earlier`` counts the steps behind them."""
         if first is not None:
             recipe = replace(recipe, **{name: getattr(first.recipe, name) for name in self.built})
-        return self.trainer(recipe, self.examples, first)
+        return self.trainer(recipe, self.windows, first)
 
 
 class CompleterCourse(Course):
@@ -185,11 +180,6 @@ class PriorCourse(Course):
         if not held[_BODIES[0]]:
             raise DataError("no validation people are there", path=folder, remedy="unpack cmu_library into it")
         return windows, held
-
-    @property
-    def examples(self) -> LiveExamples:
-        """On other bodies, as states."""
-        return LiveExamples(self.windows, self.recipe.length + 1)
 
     def load(self, path: Path) -> Cvae:
         """Reads one of this kind."""
@@ -296,7 +286,7 @@ def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
     aside."""
     if more and kept.exists():
         try:
-            run = course.trainer.resume(kept, course.examples)
+            run = course.trainer.resume(kept, course.windows)
             print(f"goes on at step {run.step} of {run.recipe.steps}, as it was begun: {kept}", flush=True)
             return run
         except DataError as error:
