@@ -15,7 +15,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import DataError, check_shape
 from motionlab.humor.cvae import Gaussian, kl
-from motionlab.humor.priors import POSE_LATENT, InitGmm, PosePrior
+from motionlab.humor.priors import InitGmm, PosePrior
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training.training_loop import TrainingRun, seeded
 
@@ -141,12 +141,6 @@ def reconstruction(model: PosePrior, rot: Tensor) -> dict[str, float]:
         "kl": float(_nats(posterior)),
         "active": int((posterior.mean.var(0) > 0.01).sum()),
     }
-
-
-def samples(model: PosePrior, count: int, generator: torch.Generator) -> Tensor:
-    """Draws poses (count, 21, 3, 3) decoded from N(0, 1)."""
-    with torch.no_grad():
-        return model.decode(torch.randn(count, POSE_LATENT, generator=generator))
 
 
 def fit_mixture(

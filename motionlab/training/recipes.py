@@ -10,7 +10,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from data_synth import anatomy
 from data_synth import corpus as synthetic
 from motionlab import checkpoint, corpus, splits
 from motionlab.diffusion import encoder
@@ -76,8 +75,8 @@ def _first_states(motions: Sequence[Motion], every: int, generator: torch.Genera
     return torch.cat(found)
 
 
-def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int = STEPS) -> dict:
-    """Trains and writes the pose prior into a folder; returns its recipe."""
+def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int = STEPS) -> None:
+    """Trains and writes the pose prior into a folder."""
     generator = torch.Generator().manual_seed(seed)
     found = {source: _poses(motions) for source, motions in data.train.items()}
     odds = [torch.full((len(x),), 1 / len(x)) for x in found.values()]  # each source as often as the other
@@ -87,7 +86,6 @@ def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int =
     rows = torch.tensor([[joint not in names for joint in STANDARD.names[1:]] for names in lacks])
     how = {"steps": steps, "weight": torch.cat(odds), "seen": rows.repeat_interleave(counts, 0)}
     model, history = prior_training.train_pose_prior(every, generator, **how)
-    drawn = prior_training.samples(model, 2000, torch.Generator().manual_seed(seed))
     recipe = {
         "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
         "command": f"{_COMMAND} --steps {steps} --seed {seed}",
@@ -95,42 +93,35 @@ def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int =
         "corpus": asdict(synthetic.Recipe()), "seed": seed, "steps": steps,
         "deviation": {"radians": prior_training.POSE_TURN, "metres": prior_training.POSE_PLACE},
         "held out": {name: prior_training.reconstruction(model, _poses(some, 3)) for name, some in data.held.items()},
-        "beyond anatomical limits, degrees": {
-            "samples": _beyond_limits(drawn), "training poses": _beyond_limits(every[::50]),
-        },
         "history": [[step, round(miss, 3), round(nats, 3)] for step, miss, nats in history],
     }  # fmt: skip
     tensors = {n: x for n, x in model.state_dict().items() if not n.endswith("num_batches_tracked")}
     checkpoint.save(out / "pose_prior_real", tensors, recipe)
-    return recipe
 
 
-def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> dict:
-    """Fits and writes the mixture into a folder; returns its recipe."""
+def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> None:
+    """Fits and writes the mixture into a folder."""
     generator = torch.Generator().manual_seed(seed)
     samples = _first_states([m for some in data.train.values() for m in some], 30, generator)
     gmm, history = prior_training.fit_mixture(samples, generator)
     gmm = InitGmm(*(x.float() for x in gmm.tensors().values()))
-    single, _ = prior_training.fit_mixture(samples, generator, components=1)
-    held = {}
-    for source, some in data.held.items():
-        x = _first_states(some, 3)
-        nats = (round(float(each.log_prob(x).mean()), 2) for each in (gmm, single))
-        held[source] = dict(zip(("mixture", "single Gaussian"), nats, strict=True)) | {"frames": len(x)}
+    held = {name: gmm.log_prob(_first_states(some, 3)) for name, some in data.held.items()}
     recipe = {
         "what": "mixture of Gaussians over joints and velocities of a single frame",
         "command": f"{_COMMAND} --seed {seed}",
         "data": {source: sum(m.frames for m in some) for source, some in data.train.items()},
         "samples": len(samples), "corpus": asdict(synthetic.Recipe()), "seed": seed, "components": len(gmm.weights),
         "ridge": prior_training.MIXTURE_RIDGE, "weights": [round(w, 4) for w in gmm.weights.tolist()],
-        "held-out log-likelihood, nats per frame": held, "history": [round(x, 3) for x in history],
+        "held-out log-likelihood, nats per frame": {
+            name: {"mixture": round(float(x.mean()), 2), "frames": len(x)} for name, x in held.items()
+        },
+        "history": [round(x, 3) for x in history],
     }  # fmt: skip
     checkpoint.save(out / "init_gmm_real", gmm.tensors(), recipe)
-    return recipe
 
 
-def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRecipe) -> dict:
-    """Trains and writes the features that generated motion is judged in (``diffusion.encoder``); returns the recipe.
+def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRecipe) -> None:
+    """Trains and writes the features that generated motion is judged in (``diffusion.encoder``).
 
     folder: of recordings. Trained on the training people, watched on validation people.
     """
@@ -149,18 +140,6 @@ def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRe
         "curve": curve,
     }  # fmt: skip
     encoder.save_encoder(out, features, about)
-    return about
-
-
-@torch.no_grad()
-def _beyond_limits(rot: Tensor) -> dict[str, float]:
-    """Of poses (N, 21, 3, 3) against the anatomical limits: degrees beyond them (mean over poses of the worst joint,
-    and over all joints), and the share of poses in which no angle is more than 5 degrees beyond."""
-    whole = torch.cat((torch.eye(3).to(rot).expand(len(rot), 1, 3, 3), rot), 1)
-    beyond = torch.stack(list(anatomy.excess(STANDARD, whole).values()), -1)
-    worst = beyond.amax(-1)
-    found = {"worst": worst.mean(), "mean": beyond.mean(), "within 5 degrees": (worst <= 5).float().mean()}
-    return {name: float(value) for name, value in found.items()}
 
 
 class _EncoderRun(TrainingRun):
