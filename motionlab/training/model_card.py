@@ -49,9 +49,9 @@ def judge_prior(name: str, folder: Path | str) -> dict[str, dict[str, float]]:
     Every person counts alike, with at most 24 windows of two seconds. The result also goes into the prior's recipe.
 
     Returns:
-        by measure (``quality.quality_row``, the share of walkers who still walk after two seconds), on people's own bones
-        and on the standard body: the mean over people, the ends of its 95 % interval by bootstrap over people, and how
-        many there are.
+        by measure (``quality.quality_row``, the share of walkers who still walk after two seconds), on people's own
+        bones and on the standard body: the mean over people, the ends of its 95 % interval by bootstrap over people,
+        and how many there are.
     Raises:
         DataError: nobody of ``test`` is in the folder.
     """
