@@ -43,8 +43,7 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
 
     path = Path(path).resolve()
     motion = io.load(path, **guided)
-    kept: set[int] = set()
-    made, last, lift = {"motion": motion}, motion.frames - 1, None
+    kept, made, last, lift = set(), motion, motion.frames - 1, None
     if body:
         with contextlib.suppress(DataError):
             lift = retarget(motion).floor
@@ -56,10 +55,10 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
         frame = min(step, last)
         return f"frame {frame} of {last}, {frame / motion.fps:.2f} s{', kept' if frame in kept else ''}"
 
-    def dress(made: Motion) -> Motion:
+    def dress(motion: Motion) -> Motion:
         if skin is None:
-            return made
-        shown = retarget(made, floor=False).motion
+            return motion
+        shown = retarget(motion, floor=False).motion
         return replace(shown, root=shown.root + torch.tensor([0.0, 0.0, lift]))
 
     given = dress(motion)
@@ -97,15 +96,14 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
         return filling.frames_named(frames.value, motion.frames, "frames kept")
 
     def make() -> Sequence[str]:
+        nonlocal kept, made
         now = read()
         say("making what lies between …")
         began = time.perf_counter()
         found = filling.inbetween(motion, filling.key_mask(motion, now, chosen.value), method=method.value or None)
-        taken, made["motion"] = time.perf_counter() - began, found.motion
-        kept.clear()
-        kept.update(now)
+        taken, made, kept = time.perf_counter() - began, found.motion, now
         strip.value = _strip(kept, motion.frames)
-        scene.exchange(dress(made["motion"]), panel=1)
+        scene.exchange(dress(made), panel=1)
         player.draw(player.hand.value)
         mark()
         count = motion.frames - len(kept)
@@ -132,19 +130,16 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
 
     def export() -> Sequence[str]:
         goal = Path(file.value).resolve()
-        return (f"{goal} is written: {write_back(path, goal, motion, made['motion'])}",)
+        return (f"{goal} is written: {write_back(path, goal, motion, made)}",)
 
-    again, then = (
-        _newest(redraw),
-        _newest(lambda _: out.disabled or attempt(export)),
-    )  # in the order in which they were asked for
+    again = _newest(redraw)  # and exports, in the order in which they were asked for
     for hand in (frames, chosen, method):
         hand.observe(again, names="value")
     player.hand.observe(mark, names="value")
     keep.on_click(toggle)
     before.on_click(lambda _: jump(max((k for k in kept if k < at()), default=at())))
     after.on_click(lambda _: jump(min((k for k in kept if k > at()), default=at())))
-    out.on_click(then)
+    out.on_click(_newest(lambda _: out.disabled or attempt(export)))
     redraw()
 
     def titled(title: str, *hands: ipywidgets.Widget, width: str) -> ipywidgets.VBox:
