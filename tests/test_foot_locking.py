@@ -1,4 +1,4 @@
-"""Feet that stand stay: in synthetic walks that were made to slide, and nothing else moves."""
+"""Feet that stand stay, in synthetic walks that were made to slide, and nothing else moves; feet that glide step."""
 
 from dataclasses import replace
 

@@ -13,7 +13,7 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.humor import pretrained
 from motionlab.humor.priors import PosePrior
 from motionlab.skeleton import STANDARD
-from motionlab.training import prior_training
+from motionlab.training import recipes
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def model() -> PosePrior:
 
 def _varied(rot, share):
     seen = torch.ones(rot.shape[:2], dtype=torch.bool)
-    return prior_training._varied_poses(rot, seen, torch.Generator().manual_seed(0), share)[0]
+    return recipes._varied_poses(rot, seen, torch.Generator().manual_seed(0), share)[0]
 
 
 def unseen() -> torch.Tensor:
@@ -51,7 +51,7 @@ def test_shapes_and_rotations(model, generator):
 def test_training_learns_and_repeats():
     rot = unseen()
     runs = [
-        prior_training.train_pose_prior(rot, torch.Generator().manual_seed(0), steps=60, batch=64, progress=False)
+        recipes.train_pose_prior(rot, torch.Generator().manual_seed(0), steps=60, batch=64, progress=False)
         for _ in "ab"
     ]
     (first, history), (second, _) = runs
@@ -59,7 +59,7 @@ def test_training_learns_and_repeats():
     assert all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
     assert not any(p.requires_grad for p in first.parameters())
     with pytest.raises(DataError, match="poses"):
-        prior_training.train_pose_prior(rot[:1], torch.Generator(), progress=False)
+        recipes.train_pose_prior(rot[:1], torch.Generator(), progress=False)
 
 
 def test_mirror_of_a_pose_is_the_mirrored_motion():
@@ -190,8 +190,8 @@ def test_files_that_are_not_vposers(tmp_path):
 
 def test_shipped_prior_knows_poses():
     model, rot = pretrained.load_pose_prior("pose_prior_real"), unseen()
-    found = prior_training.reconstruction(model, rot)
-    naive = prior_training._joints_of(rot)[:, 1:]
+    found = recipes.reconstruction(model, rot)
+    naive = recipes._joints_of(rot)[:, 1:]
     still = 100 * float((naive - naive.mean(0)).norm(dim=-1).mean())  # the mean pose instead of a prior
     assert found["cm"] < 2 < 0.2 * still
     assert found["degrees"] < 5
@@ -202,7 +202,7 @@ def test_shipped_prior_knows_poses():
 def test_shipped_prior_refuses_what_is_no_pose(generator):
     model, rot = pretrained.load_pose_prior("pose_prior_real"), unseen()
     nonsense = rotation.random((len(rot), 21), generator)
-    away = [prior_training.reconstruction(model, x)["degrees"] for x in (rot, nonsense)]
+    away = [recipes.reconstruction(model, x)["degrees"] for x in (rot, nonsense)]
     assert away[1] > 5 * away[0]
 
 
