@@ -214,7 +214,7 @@ def _moments(x: Tensor) -> tuple[Tensor, Tensor]:
     return mean, torch.cat([part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in parts])
 
 
-# ------------------------------------------------------------------------------------------------------------ pose prior
+# ----------------------------------------------------------------------------------------------------------- pose prior
 def _joints_of(rot: Tensor) -> Tensor:
     """Joints (..., 22, 3) of the standard body, pelvis in the origin, for local rotations (..., 21, 3, 3)."""
     still = torch.eye(3).to(rot).expand(*rot.shape[:-3], 1, 3, 3)
