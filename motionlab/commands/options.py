@@ -110,9 +110,7 @@ def _add_animator(add: Callable) -> None:
     """``inbetween``, ``repair``, ``complete``, ``plant``, ``cycle`` and ``retarget`` of a motion file or a folder of
     them, each by a function ``make``; and ``generate``."""
 
-    def edit(
-        name: str, text: str, example: str, seed: str = "", plants: bool = True
-    ) -> tuple[argparse.ArgumentParser, Callable]:
+    def edit(name: str, text: str, example: str, seed: str = "", plants: bool = True) -> tuple:
         command, option = add(name, text, example, "commands.animator:run", make=name)
         option("source", metavar="IN", type=Path, help=_IN)
         option("--out", type=Path, required=True, help=_OUT)
