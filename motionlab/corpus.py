@@ -22,7 +22,7 @@ from pathlib import Path
 import torch
 from tqdm.auto import tqdm
 
-from motionlab import checkpoint, cleaning, rotation, subjects
+from motionlab import checkpoint, cleaning, rotation, splits
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError, MissingData
 from motionlab.files import source_hash
@@ -33,7 +33,7 @@ from motionlab.parallel import run_jobs
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
-_FORMAT = 3  # of what is kept
+_FORMAT = 4  # of what is kept
 _SLOWEST = 10.0  # fps: between frames further apart nobody knows what happened
 _TOGETHER = 16  # recordings a job
 _WITHOUT = "leave it out of the folder, or assemble it without strict"
@@ -63,7 +63,7 @@ class Take:
     @property
     def part(self) -> str:
         """The part that the person belongs to."""
-        return subjects.part_of(self.person)
+        return splits.part_of(self.person)
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,6 @@ class Corpus:
 
     takes: tuple[Take, ...]
     rows: tuple[SourceRow, ...]
-    digest: str = ""
 
     def part(self, name: str) -> list[Take]:
         """The takes of a part: "train", "val" or "test".
@@ -93,8 +92,8 @@ class Corpus:
         Raises:
             ValueError: no such part.
         """
-        if name not in subjects.PARTS:
-            raise ValueError(f"part: expected one of {', '.join(subjects.PARTS)}, got {name!r}")
+        if name not in splits.PARTS:
+            raise ValueError(f"part: expected one of {', '.join(splits.PARTS)}, got {name!r}")
         return [take for take in self.takes if take.part == name]
 
     def report(self) -> str:
@@ -109,7 +108,7 @@ class Corpus:
             reasons = Counter(row.refused.values())
             lines += [f"  refused {n}: {reason}" for reason, n in reasons.most_common(5)]
             lines += [f"    {name}" for name in list(row.refused)[:5]]
-        for name in subjects.PARTS:
+        for name in splits.PARTS:
             some = self.part(name)
             seconds, who = sum(t.motion.seconds for t in some), len({t.person for t in some})
             lines.append(f"{name}: {seconds / 60:.1f} min of {who} people, {len(some)} stretches")
@@ -122,23 +121,15 @@ def cache_folder() -> Path:
 
 
 def assemble(
-    folder: Path | str,
-    sources: Sequence[str] | None = None,
-    *,
-    fps: float = FPS,
-    kept: Path | str | None = None,
-    strict: bool = False,
-    workers: int = 1,
-    every: int = 1,
-    reading: Mapping[str, object] | None = None,
-    progress: bool = True,
-) -> Corpus:
+    folder: Path | str, sources: Sequence[str] | None = None, *, kept: Path | str | None = None, strict: bool = False,
+    workers: int = 1, every: int = 1, reading: Mapping[str, object] | None = None, progress: bool = True,
+) -> Corpus:  # fmt: skip
     """Makes a corpus of the recordings in a folder, one sub-folder per source; what is kept from before is read.
 
     Args:
         sources: names of sub-folders; None: all that hold motions with rotations.
-        fps: frames per second of the corpus. kept: folder of what is kept; None: :func:`cache_folder`.
-        strict: a recording that cannot be used ends the run; otherwise it is counted in the report.
+        kept: folder of what is kept; None: :func:`cache_folder`.
+        strict: a source with a recording that cannot be used ends the run; otherwise it is counted in the report.
         workers: processes (a script that asks for several needs ``if __name__ == "__main__"``). every: only each n-th
             recording of a source. reading: options for those loaders that take them (``unit``, ``up``, ...).
 
@@ -148,14 +139,12 @@ def assemble(
     """
     folder, kept = Path(folder), Path(kept) if kept else cache_folder()
     kept.mkdir(parents=True, exist_ok=True)
-    found, rows, digests = [], [], []
+    found, rows = [], []
     for name in sources or sorted({each.source for each in recordings(folder)}):
         files = [(path, load) for _, path, load in recordings(folder, name, reading=reading)][::every]
-        key = _key(folder, [path for path, _ in files], (fps, repr(reading)) if reading else fps)
-        path = kept / f"{name}-{key}.safetensors"
-        stored = _read(path)
-        if stored is None:
-            checkpoint.keep(path, *_prepared(name, folder, files, fps, strict, workers, progress))
+        path = kept / f"{name}-{_key(folder, [path for path, _ in files], reading)}.safetensors"
+        if (stored := _read(path)) is None:
+            checkpoint.keep(path, *_prepared(name, folder, files, workers, progress))
             stored = _read(path)
         takes, row = stored
         if strict and row.refused:
@@ -163,18 +152,15 @@ def assemble(
             raise DataError(why, path=folder / file, remedy=_WITHOUT)
         found += takes
         rows.append(row)
-        digests.append(key)
     if not found:
         refused = [f"{file}: {why}" for row in rows for file, why in row.refused.items()]
         said = f"{len(refused)} recordings are refused, such as {refused[0]}." if refused else "Give longer recordings."
         raise MissingData(f"any usable motion in {folder}", said)
     once, lost = _once(found)
-    rows = [
-        replace(row, kept=row.kept - lost[row.source], cut={**row.cut, "repeated": lost[row.source]})
-        if row.source in lost else row
-        for row in rows
-    ]  # fmt: skip
-    return Corpus(tuple(once), tuple(rows), hashlib.sha256(" ".join(digests).encode()).hexdigest()[:16])
+    for k, row in enumerate(rows):
+        if again := lost[row.source]:
+            rows[k] = replace(row, kept=row.kept - again, cut={**row.cut, "repeated": again})
+    return Corpus(tuple(once), tuple(rows))
 
 
 def _once(takes: Sequence[Take]) -> tuple[list[Take], dict[str, float]]:
@@ -194,9 +180,9 @@ def _once(takes: Sequence[Take]) -> tuple[list[Take], dict[str, float]]:
     return once, lost
 
 
-def _key(folder: Path, files: Sequence[Path], fps: object) -> str:
-    """What a kept source depends on: its files as they are, the rate, and the code that reads them."""
-    whole = hashlib.sha256(repr((_FORMAT, fps)).encode())
+def _key(folder: Path, files: Sequence[Path], reading: object) -> str:
+    """What a kept source depends on: its files as they are, how they are read, and the code that reads them."""
+    whole = hashlib.sha256(repr((_FORMAT, reading or None)).encode())
     places = {folder / path.relative_to(folder).parts[0] for path in files}
     beside = [path for place in places for name in ("index.tsv", "*.asf") for path in sorted(place.rglob(name))]
     for path in (*files, *beside):
@@ -213,12 +199,12 @@ def _code() -> str:
 
 
 def _prepared(
-    source: str, folder: Path, files: Sequence[tuple[Path, Callable]], fps: float, strict: bool, workers: int, bar: bool
+    source: str, folder: Path, files: Sequence[tuple[Path, Callable]], workers: int, bar: bool
 ) -> tuple[dict[str, torch.Tensor], dict]:
     """One source, ready to be kept."""
     said = _descriptions(folder / source)
     lots = [files[i : i + _TOGETHER] for i in range(0, len(files), _TOGETHER)]
-    jobs = [partial(_some, folder / source, lot, fps, said, strict) for lot in lots]
+    jobs = [partial(_some, folder / source, lot, said) for lot in lots]
     with tqdm(total=len(files), disable=not bar, desc=source, unit="file") as shown:
         found = run_jobs(jobs, min(workers, len(jobs)) or 1, lambda k, _: shown.update(len(lots[k])))
     every, cut = [each for lot in found for each in lot], Counter()
@@ -229,7 +215,7 @@ def _prepared(
         "refused": {each["file"]: each["refused"] for each in every if each["refused"]},
     }  # fmt: skip
     tensors = {name: torch.cat([t for each in every for t in each[name]]) for name in _EMPTY}
-    return tensors, {"takes": [take for each in every for take in each["takes"]], "row": row, "fps": fps}
+    return tensors, {"takes": [take for each in every for take in each["takes"]], "row": row}
 
 
 _EMPTY = {
@@ -238,12 +224,12 @@ _EMPTY = {
 }  # fmt: skip
 
 
-def _some(place: Path, files: Sequence[tuple[Path, Callable]], fps: float, said: Mapping[str, str], strict: bool):
+def _some(place: Path, files: Sequence[tuple[Path, Callable]], said: Mapping[str, str]) -> list[dict]:
     """What each file gives: tensors of its clean stretches, and what to say of it."""
-    return [_one(place, path, load, fps, said.get(path.stem, path.stem), strict) for path, load in files]
+    return [_one(place, path, load, said.get(path.stem, path.stem)) for path, load in files]
 
 
-def _one(place: Path, path: Path, load: Callable, fps: float, said: str, strict: bool) -> dict:
+def _one(place: Path, path: Path, load: Callable, said: str) -> dict:
     file = path.relative_to(place.parent)
     found = {name: [empty] for name, empty in _EMPTY.items()}
     found |= {"takes": [], "cut": {}, "refused": "", "file": file.as_posix(), "seconds": 0.0}
@@ -254,13 +240,9 @@ def _one(place: Path, path: Path, load: Callable, fps: float, said: str, strict:
         if recording.fps < _SLOWEST:
             raise DataError(f"{recording.fps:g} frames per second are too few", path=path, remedy="leave it out")
         moved = retarget(recording)
-        whole = resample(replace(moved.motion, name=file.with_suffix("").as_posix()), fps, "spline")
+        whole = resample(replace(moved.motion, name=file.with_suffix("").as_posix()), FPS, "spline")
         cleaned = cleaning.clean(whole)
     except (DataError, MissingData, ValueError) as error:
-        if strict and str(path) in str(error):
-            raise
-        if strict:
-            raise DataError(_reason(error), path=path, remedy=_WITHOUT) from error
         return found | {"refused": _reason(error)}
     found |= {"seconds": whole.seconds, "cut": dict(cleaned.seconds)}
     for stretch in cleaned.stretches:
@@ -304,7 +286,7 @@ def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
     for own, each in zip(offsets, about["takes"], strict=True):
         some, at = slice(at, at + each["frames"]), at + each["frames"]
         skeleton = replace(STANDARD, offsets=own, sole=each["sole"])
-        motion = Motion(skeleton, root[some], matrices[some], about["fps"], contacts[some].float(), name=each["name"])
-        person = subjects.person_of(source, each["file"])
+        motion = Motion(skeleton, root[some], matrices[some], FPS, contacts[some].float(), name=each["name"])
+        person = splits.person_of(source, each["file"])
         takes.append(Take(motion, each["name"], source, person, each["said"], each["fps"], tuple(each["missing"])))
     return takes, SourceRow(**about["row"], kept=sum(t.motion.seconds for t in takes))

@@ -10,14 +10,15 @@ ROOT = Path(__file__).resolve().parents[1]
 #: The rooms of the library, a floor a line, the lowest first: what is below "animate" is what a stranger imports. An
 #: import goes strictly down, or stays inside its room: a module, or a package that is named here as a whole.
 FLOORS = """
-    errors examples parallel subjects
+    errors examples parallel
     diffusion.sampling files optimise rotation skeleton
     body checkpoint motion rigs
     baselines cleaning contact heading humanml ik observation rest skinning tailoring
     data_synth diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
         metrics retarget viz
+    splits
     certificate corpus diffusion.completer diffusion.denoising diffusion.model
-        diffusion.windows humor.cvae splits
+        diffusion.windows humor.cvae
     diffusion.inpainting diffusion.poses humor.energies humor.priors humor.transition
     bench humor.compiled humor.evidence humor.pretrained
     humor.rollout

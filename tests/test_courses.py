@@ -7,11 +7,12 @@ import pytest
 import torch
 
 from motionlab import checkpoint, splits
+from motionlab.bench.cases import PersonWindows
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
-from motionlab.training import courses, train_more
+from motionlab.training import courses
 from motionlab.training.chain_training import ChainRecipe
 from tests.draws import seeded
 
@@ -22,7 +23,8 @@ SMALL = ChainRecipe(width=64, steps=4, batch=4, length=3, chain=2)
 @pytest.fixture
 def plain(motions):
     windows = gather([*map(on_standard, motions)], 60, people=["a", *["b"] * (len(motions) - 1)])
-    return courses.DenoiserCourse("diffusion_plain", PLAIN, None, (windows, windows.draw(4, seeded())))
+    held = PersonWindows(windows.draw(4, seeded()), None, None)
+    return courses.DenoiserCourse("diffusion_plain", PLAIN, None, (windows, held))
 
 
 @pytest.fixture
@@ -57,13 +59,13 @@ def test_who_does_what_was_asked_has_one(prior, monkeypatch):
 def test_the_prior_goes_on_from_what_it_wrote(prior, here, monkeypatch):
     """By a bare name in the folder at hand; the kept state is gone, so that the file is all there is."""
     out = Path("transition")
-    train_more.go_on(prior, out, every=2, schedules=1)
+    courses.go_on(prior, out, every=2, schedules=1)
     before = checkpoint.read_recipe(out)
     assert before["step"] in (2, 4) and before["people"] == 1 and before["recipe"]["width"] == 64
-    train_more._kept("transition", out).unlink()
+    courses._kept("transition", out).unlink()
     monkeypatch.setattr(prior, "recipe", replace(SMALL, lr=1e-6))
-    train_more.go_on(prior, out, every=2, schedules=1)
-    run = prior.trainer.resume(train_more._kept("transition", out), prior.examples)
+    courses.go_on(prior, out, every=2, schedules=1)
+    run = prior.trainer.resume(courses._kept("transition", out), prior.windows)
     assert run.earlier == before["step"] and run.step == 4 and run.recipe.sampling_end == 0
     first, again = prior.load(out), run.averaged
     past = torch.randn(5, 339, generator=seeded())
@@ -75,17 +77,17 @@ def test_the_prior_goes_on_from_what_it_wrote(prior, here, monkeypatch):
 def test_the_denoiser_goes_on_from_what_it_wrote(plain, here):
     """With the size and the numbers of what is there; less of its error is chosen."""
     out = here / "plain"
-    train_more.go_on(plain, out, every=2, schedules=1)
+    courses.go_on(plain, out, every=2, schedules=1)
     before, first = checkpoint.read_recipe(out), plain.load(out)
     row = before["quality, validation people"]
     levels = [value for name, value in row.items() if name != courses.MEAN_ERROR]
     assert row[courses.MEAN_ERROR] == pytest.approx(sum(levels) / len(levels)) and before["recipe"]["size"] == "small"
-    train_more._kept("diffusion_plain", out).unlink()
+    courses._kept("diffusion_plain", out).unlink()
     begun = plain.begun(DenoiserRecipe(steps=4, batch=4), first)
     assert begun.recipe.size == "small"
     weight = lambda model: next(iter(model.denoiser.state_dict().values()))  # noqa: E731
     assert (weight(begun.averaged) - weight(first)).abs().max() == 0
-    train_more.go_on(plain, out, every=2, schedules=1)
+    courses.go_on(plain, out, every=2, schedules=1)
     assert checkpoint.read_recipe(out)["step"] >= before["step"]
 
 

@@ -21,7 +21,7 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from motionlab.training import completer_training, train_more
+from motionlab.training import completer_training, courses
 from motionlab.training.completer_training import CompleterTraining, losses
 from motionlab.training.courses import CompleterCourse
 
@@ -369,28 +369,28 @@ MINE = Path("mine")
 
 
 def kept_in_cache() -> Path:
-    return train_more._kept("completer", MINE)
+    return courses._kept("completer", MINE)
 
 
 def test_training_writes_what_is_better_only(motions, people, here):
     data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
     recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
     how = {"every": 2, "schedules": 1}
-    train_more.go_on(CompleterCourse("completer", recipe, None, (data, people)), MINE, **how)
+    courses.go_on(CompleterCourse("completer", recipe, None, (data, people)), MINE, **how)
     content = MINE.with_suffix(".safetensors").read_bytes()
     for again in (True, False):  # goes on from what is there, or begins anew, and spoils it: the file stays
         kept_in_cache().unlink()
-        train_more.go_on(
+        courses.go_on(
             CompleterCourse("completer", replace(recipe, lr=1e3), None, (data, people)), MINE, more=again, **how
         )
         assert MINE.with_suffix(".safetensors").read_bytes() == content
     assert CompleterTraining.resume(kept_in_cache(), data).recipe.lr == 1e3
     with pytest.raises(DataError, match="not a completer_draws"):
-        train_more.go_on(
+        courses.go_on(
             CompleterCourse("completer_draws", replace(recipe, diffusion=True), None, (data, people)), MINE, **how
         )
     with pytest.raises(DataError, match="--data"):
-        train_more.learnt_from(None, judge.FRAMES)
+        courses.learnt_from(None, judge.FRAMES)
 
 
 @pytest.mark.parametrize("rough", [False, True])
@@ -411,9 +411,9 @@ def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people,
 
     monkeypatch.setattr(CompleterTraining, "advance", killed)
     with pytest.raises(KeyboardInterrupt):
-        train_more.go_on(CompleterCourse("completer", recipe, None, (data, people)), MINE, **how)
+        courses.go_on(CompleterCourse("completer", recipe, None, (data, people)), MINE, **how)
     monkeypatch.setattr(CompleterTraining, "advance", advance)
-    train_more.go_on(CompleterCourse("completer", recipe, None, (data, people)), MINE, **how)
+    courses.go_on(CompleterCourse("completer", recipe, None, (data, people)), MINE, **how)
     made = CompleterTraining.resume(kept_in_cache(), data)
     assert made.step == 4
     assert all(torch.equal(x, made.model.state_dict()[name]) for name, x in whole.model.state_dict().items())

@@ -18,7 +18,7 @@ from motionlab.metrics.generation import frechet
 from motionlab.motion import mirror
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD
-from motionlab.training import encoder_training, recipes, train
+from motionlab.training import courses, recipes
 
 TINY = encoder.EncoderRecipe(frames=12, size=6, width=8, steps=120, batch=8, lr=5e-3, seed=3)
 PARTS = list(encoder.FEATURE_GROUPS.values())
@@ -41,7 +41,7 @@ def some(data):
 
 @pytest.fixture(scope="module")
 def trained(data, some):
-    return encoder_training.train_encoder(data, TINY, some)
+    return recipes.train_encoder(data, TINY, some)
 
 
 def test_signals_do_not_know_place_or_heading(some):
@@ -77,9 +77,9 @@ def test_training_learns_and_is_the_same_again(data, some, trained):
     features, curve = trained
     assert curve[-1]["loss"] < 0.8 * curve[0]["loss"] and curve[-1]["place"] < 0.3
     assert curve[-1]["joints"] < curve[0]["joints"]
-    again, _ = encoder_training.train_encoder(data, TINY, some)
+    again, _ = recipes.train_encoder(data, TINY, some)
     assert torch.equal(again(some), features(some))
-    other, _ = encoder_training.train_encoder(data, replace(TINY, seed=4))
+    other, _ = recipes.train_encoder(data, replace(TINY, seed=4))
     assert not torch.allclose(other(some), features(some))
 
 
@@ -126,7 +126,7 @@ def test_files_of_something_else_are_refused(trained, tmp_path):
 
 def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):
     """And watches what is missed of validation people."""
-    asked, train_encoder = [], encoder_training.train_encoder
+    asked, train_encoder = [], recipes.train_encoder
 
     def trained(windows, recipe, held, **how):
         asked.append((windows.digest, held))
@@ -134,8 +134,8 @@ def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypat
 
     found = recipes.RealMotions({splits.RECORDED: motions[:1]}, {"validation people": motions[1:]}, {})
     monkeypatch.setattr(recipes, "real_motions", lambda folder: found)
-    monkeypatch.setattr(encoder_training, "train_encoder", trained)
-    monkeypatch.setattr(train, "EncoderRecipe", lambda: replace(TINY, frames=60))
+    monkeypatch.setattr(recipes, "train_encoder", trained)
+    monkeypatch.setattr(courses, "EncoderRecipe", lambda: replace(TINY, frames=60))
     how = "--steps 3 --seed 2"
     assert main(["train", "features", *how.split(), "--data", "x", "--out", str(tmp_path / "f")]) == 0
     about = json.loads((tmp_path / "f.json").read_text())

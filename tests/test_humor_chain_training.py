@@ -26,20 +26,16 @@ from motionlab.humor.state import (
 from motionlab.motion import mirror
 from motionlab.skeleton import STANDARD
 from motionlab.training import chain_training
-from motionlab.training.chain_training import ChainRecipe, ChainTraining, LiveExamples, Scales
+from motionlab.training.chain_training import ChainRecipe, ChainTraining, Scales
 from tests.draws import seeded
 
 SMALL = ChainRecipe(width=64, steps=8, batch=10, length=3, chain=2, seed=5)
 FEET = [STANDARD.index(f"{side}_foot") for side in ("left", "right")]
 
 
-def live_examples(motions, length, missing):
-    return LiveExamples(gather(motions, length + 1, missing=missing), length)
-
-
 @pytest.fixture(scope="module")
 def data(motions):
-    return live_examples(motions, SMALL.length + 1, [(), ("left_foot",)])
+    return gather(motions, SMALL.length + 2, missing=[(), ("left_foot",)])
 
 
 @pytest.fixture
@@ -49,7 +45,7 @@ def transitions(motions):
 
 
 def drawn(data, count=60, **change):
-    return replace(data, **change).drawn(count, seeded(1))
+    return chain_training.drawn(data, count, seeded(1), **change)
 
 
 # ----------------------------------------------------------------------------------------------- causal states
@@ -71,7 +67,7 @@ def test_causal_velocities_know_the_past_only(motions):
     assert from_motion(motion.cut(0, 1), causal=True)[0, SLICES["joints_vel"]].eq(0).all()
 
 
-# ------------------------------------------------------------------------------------------------ live examples
+# ------------------------------------------------------------------------------------------------ windows as states
 def test_windows_are_those_of_the_motions_and_their_mirror_images(motions, data):
     states, contacts, offsets, _ = drawn(data, bodies=0.0)
     tables = [(from_motion(m, causal=True), m.contacts) for a in motions for m in (a, mirror(a))]
@@ -106,15 +102,14 @@ def test_other_bodies_have_the_bones_they_say_and_paths_as_long_as_their_legs(da
 def test_draws_follow_their_generator_and_motions_too_short_are_left_out(motions, data):
     for a, b in zip(drawn(data), drawn(data), strict=True):
         assert torch.equal(a, b)
-    assert torch.equal(data.drawn(60, seeded(1))[0], drawn(data)[0])
-    mixed = live_examples([motions[1].cut(0, 4), motions[0]], 4, [("head",), ("left_foot",)])
-    unseen = [name for name, seen in zip(STANDARD.names, mixed.motions.seen[0], strict=True) if not seen]
-    assert len(mixed.motions.seen) == 1 and unseen == ["left_foot", "right_foot"]  # windows are mirrored
-    assert len(mixed.motions.root) == motions[0].frames and mixed.digest != data.digest
+    mixed = gather([motions[1].cut(0, 4), motions[0]], 5, missing=[("head",), ("left_foot",)])
+    unseen = [name for name, seen in zip(STANDARD.names, mixed.seen[0], strict=True) if not seen]
+    assert len(mixed.seen) == 1 and unseen == ["left_foot", "right_foot"]  # windows are mirrored
+    assert len(mixed.root) == motions[0].frames and mixed.digest != data.digest
     with pytest.raises(DataError, match="no motion has 5 frames"):
-        live_examples([motions[0].cut(0, 4)], 4, [()])
+        gather([motions[0].cut(0, 4)], 5, missing=[()])
     with pytest.raises(ValueError, match="zip"):
-        live_examples(motions, 4, [()])
+        gather(motions, 5, missing=[()])
 
 
 # ---------------------------------------------------------------------------------------------------- the losses
@@ -170,9 +165,9 @@ def test_a_stopped_run_goes_on_to_the_bit(motions, data, tmp_path):
     assert all(torch.equal(whole.average[name], value) for name, value in again.average.items())
     assert not torch.equal(other.average["skip.weight"], whole.average["skip.weight"])
     with pytest.raises(DataError, match="other examples"):
-        ChainTraining.resume(tmp_path / "run.pt", live_examples(motions[:1], SMALL.length + 1, [()]))
+        ChainTraining.resume(tmp_path / "run.pt", gather(motions[:1], SMALL.length + 2, missing=[()]))
     with pytest.raises(DataError, match="windows of 6 states for 3 transitions"):
-        ChainTraining(SMALL, live_examples(motions, 6, [(), ()]))
+        ChainTraining(SMALL, gather(motions, 7, missing=[(), ()]))
 
 
 @pytest.mark.parametrize(("opened", "free"), [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5)])

@@ -13,7 +13,7 @@ from motionlab.humor import pretrained, priors, state
 from motionlab.humor.priors import InitGmm
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from motionlab.training import prior_training
+from motionlab.training import recipes
 from tests.rolled_inputs import golden_mixture
 
 
@@ -49,13 +49,13 @@ def test_far_away_is_a_number(generator):
 def test_fit_finds_the_mixture_that_made_the_samples(generator):
     truth = small(generator)
     train, held = draw(truth, 4000, generator), draw(truth, 4000, generator)
-    found, history = prior_training.fit_mixture(train, generator, components=3, ridge=1e-6)
-    single, _ = prior_training.fit_mixture(train, generator, components=1, ridge=1e-6)
+    found, history = recipes.fit_mixture(train, generator, components=3, ridge=1e-6)
+    single, _ = recipes.fit_mixture(train, generator, components=1, ridge=1e-6)
     best, ours, alone = (float(g.log_prob(held).mean()) for g in (truth, found, single))
     assert abs(best - ours) < 0.05
     assert alone < ours - 0.3
     assert all(b >= a - 1e-6 for a, b in pairwise(history))  # EM never falls
-    again, _ = prior_training.fit_mixture(train, torch.Generator().manual_seed(1), components=1, ridge=1e-6)
+    again, _ = recipes.fit_mixture(train, torch.Generator().manual_seed(1), components=1, ridge=1e-6)
     assert torch.allclose(again.means, train.mean(0, keepdim=True))
 
 
@@ -114,6 +114,6 @@ def test_no_file_and_no_archive(tmp_path):
 
 def test_too_few_samples_and_wrong_width(generator):
     with pytest.raises(DataError, match="samples"):
-        prior_training.fit_mixture(torch.randn(5, 9, generator=generator), generator)
+        recipes.fit_mixture(torch.randn(5, 9, generator=generator), generator)
     with pytest.raises(ShapeError):
         golden_mixture().log_prob(torch.zeros(2, 137))

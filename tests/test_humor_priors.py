@@ -10,7 +10,7 @@ from data_synth.subjects import SUBJECTS
 from motionlab import checkpoint
 from motionlab.errors import DataError
 from motionlab.humor import pretrained, priors
-from motionlab.training import prior_training, recipes
+from motionlab.training import recipes
 
 
 def first_states(seed: int = 5) -> torch.Tensor:
@@ -45,7 +45,7 @@ def test_mixture_beats_a_single_gaussian_on_what_was_held_out():
 def test_components_stay_positive_definite_as_stored():
     tensors, _ = checkpoint.load(checkpoint.SHIPPED / "init_gmm_real")
     smallest = torch.linalg.eigvalsh(tensors["covariances"].double()).amin()
-    assert smallest > 0.5 * prior_training.MIXTURE_RIDGE
+    assert smallest > 0.5 * recipes.MIXTURE_RIDGE
 
 
 def copy(name: str, folder) -> None:

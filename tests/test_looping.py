@@ -9,7 +9,7 @@ from torch import Tensor
 
 from motionlab import examples, io, rotation
 from motionlab.__main__ import main
-from motionlab.animate import looping, planting, restore
+from motionlab.animate import looping, restore
 from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
 from motionlab.metrics.gait import slide_where_truth_stands_mm
@@ -57,7 +57,7 @@ def test_feet_that_slide_are_held_and_only_legs_turn_otherwise(walk):
     walk = walk.cut(0, 90)  # later it stands for seconds: where the root goes on, no leg is long enough
     drift = torch.tensor([0.006, -0.003, 0.0]) * torch.arange(walk.frames)[:, None]  # 6.7 mm a frame
     given = replace(walk, root=walk.root + drift)
-    made = planting.planted(given)
+    made = looping.planted(given)
     assert slide(given, walk) > 6 and slide(made.motion, walk) < 2
     others = [j for j in range(22) if j not in LEGS]
     assert torch.equal(made.motion.rot[:, others], given.rot[:, others]) and torch.equal(made.motion.root, given.root)
@@ -67,9 +67,9 @@ def test_feet_that_slide_are_held_and_only_legs_turn_otherwise(walk):
 
 def test_control_who_stands_still_stays_to_the_bit_and_swinging_legs_go_on_swinging():
     still = standing()
-    assert torch.equal(planting.planted(still).motion.rot, still.rot)
+    assert torch.equal(looping.planted(still).motion.rot, still.rot)
     swinging = standing(shake=0.8)
-    made = planting.planted(swinging).motion
+    made = looping.planted(swinging).motion
     left = STANDARD.index("left_foot")
     assert (made.positions - swinging.positions)[:, left].norm(dim=-1).max() < 0.1
     assert made.positions[:, left].std(0)[1] > 0.8 * swinging.positions[:, left].std(0)[1]
@@ -77,7 +77,7 @@ def test_control_who_stands_still_stays_to_the_bit_and_swinging_legs_go_on_swing
 
 def test_one_frame_is_refused(walk):
     with pytest.raises(DataError, match="no speed"):
-        planting.planted(walk.cut(0, 1))
+        looping.planted(walk.cut(0, 1))
 
 
 # ------------------------------------------------------------------------------------------------------------ loops
@@ -102,7 +102,7 @@ def test_a_loop_holds_feet_over_its_seam_and_without_planting_they_slide(walk):
         way, index = made.root[-1] - made.root[0], torch.arange(3 * (made.frames - 1)) % (made.frames - 1)
         root = torch.cat([made.root[:-1] + k * way for k in range(3)])
         every = replace(made, root=root, rot=made.rot[index])
-        truth = replace(every, rot=planting.planted(every).motion.rot)
+        truth = replace(every, rot=looping.planted(every).motion.rot)
         slides.append(slide(every, truth))
     assert slides[0] < 1.5 < 3 < slides[1]
 

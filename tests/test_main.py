@@ -13,11 +13,12 @@ import torch
 
 from motionlab import __main__
 from motionlab.animate import filling, rewriting
-from motionlab.commands import animator, doctor, motions
+from motionlab.commands import doctor, motions, options
 from motionlab.commands.doctor import Check
 from motionlab.errors import DataError, MissingData
-from motionlab.io import bvh, load
+from motionlab.io import bvh, judging, load
 from motionlab.skeleton import STANDARD
+from motionlab.training import courses
 from suite import __main__ as suite_main
 from suite import execute, findings, pages, report, staleness
 from tests.figures import standing
@@ -328,12 +329,13 @@ def test_data_needs_a_folder(monkeypatch, capsys):
 
 def test_table_is_aligned():
     rows = [{"source": "cmu_amc", "minutes": 5.84}, {"source": "x", "minutes": 10.0}]
-    assert __main__.text_table(rows) == "source   minutes\ncmu_amc  5.8\nx        10.0"
+    assert motions.text_table(rows) == "source   minutes\ncmu_amc  5.8\nx        10.0"
 
 
 def test_what_the_commands_offer_is_what_the_library_does():
     """They may not import it before one runs."""
-    assert tuple(rewriting.WRITERS) == motions.WRITTEN and animator._METHODS == filling.METHODS
+    assert tuple(rewriting.WRITERS) == options.WRITTEN and options.METHODS == filling.METHODS
+    assert {*judging.AXES} == {*options.UP} and {*courses.COURSES} == {*options.COURSES}
 
 
 def test_help_loads_neither_torch_nor_numpy():

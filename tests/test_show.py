@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from motionlab import io, viz
-from motionlab.__main__ import _parser, main
+from motionlab.__main__ import main
+from motionlab.commands.options import parser
 from motionlab.examples import WALK
 from motionlab.io import bvh, video
 from motionlab.skeleton import STANDARD
@@ -38,7 +39,7 @@ def filmed(monkeypatch):
 
 # ------------------------------------------------------------------------------------------------ the command
 def subcommands() -> dict[str, argparse.ArgumentParser]:
-    (choices,) = [action.choices for action in _parser(["train"])._actions if action.dest == argparse.SUPPRESS]
+    (choices,) = [action.choices for action in parser()._actions if action.dest == argparse.SUPPRESS]
     return choices
 
 
@@ -52,10 +53,10 @@ def example(parser: argparse.ArgumentParser) -> list[str]:
 def test_every_command_says_what_it_does_and_its_example_is_one(name):
     command = subcommands()[name]
     words = example(command)
-    assert words[0] == name and _parser(words).parse_args(words).run
+    assert words[0] == name and parser().parse_args(words).run
     assert command.description.endswith(".") and "\n" not in command.description
     with pytest.raises(SystemExit):  # control
-        _parser(words).parse_args([*words, "--no-such-option"])
+        parser().parse_args([*words, "--no-such-option"])
 
 
 # ------------------------------------------------------------------------------------------------------- show

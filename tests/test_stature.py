@@ -9,7 +9,7 @@ import walked
 from walked import few_steps, table, write_camera, write_npz
 
 from motionlab.body import BodyModel
-from motionlab.footage import fit, scene_report, stature
+from motionlab.footage import fit, scene_fit, scene_report
 from motionlab.humor import body_shape
 from motionlab.io import bvh
 from motionlab.motion import Motion
@@ -20,7 +20,7 @@ FRAMES = 30
 
 
 def walk(size: float) -> Motion:
-    return stature.resized(walked.walk(FRAMES), size)
+    return scene_fit.resized(walked.walk(FRAMES), size)
 
 
 def camera(high: float = 1.4) -> Camera:
@@ -35,8 +35,8 @@ def seen(motion: Motion, by: Camera) -> Observation2D:
 
 def test_the_standard_body_is_as_tall_as_it_is_drawn():
     drawn = BodyModel.from_anny().template[:, 1]
-    assert pytest.approx(float(drawn.max() - drawn.min()), abs=0.01) == stature.STATURE
-    assert stature.of(walk(1.0)) == pytest.approx(stature.STATURE, rel=0.06)
+    assert pytest.approx(float(drawn.max() - drawn.min()), abs=0.01) == scene_fit.STATURE
+    assert scene_fit.stature(walk(1.0)) == pytest.approx(scene_fit.STATURE, rel=0.06)
 
 
 @pytest.mark.parametrize("high", [0.8, 1.4, 3.0])
@@ -46,7 +46,7 @@ def test_size_is_seen_where_feet_stand(size, high):
     # a camera from above is too kind, so that adults below it are no children
     limbs = STANDARD.indices([f"{side}_{part}" for side in ("left", "right") for part in ("knee", "ankle", "elbow")])
     true = float((motion.skeleton.offsets.norm(dim=-1) / STANDARD.offsets.norm(dim=-1))[limbs].median())
-    assert stature.seen_size(seen(motion, camera(high)), camera(high)) == [
+    assert scene_fit.seen_size(seen(motion, camera(high)), camera(high)) == [
         pytest.approx(true * (1.08 if high > 2 else 1), rel=0.08)
     ]
 
@@ -56,12 +56,12 @@ def test_size_is_not_known_without_feet():
     found.confidence[
         ..., [k for k, name in enumerate(BODY_25) if "toe" in name or "heel" in name or "ankle" in name]
     ] = 0
-    assert np.isnan(stature.seen_size(found, camera())).all()
+    assert np.isnan(scene_fit.seen_size(found, camera())).all()
 
 
 def test_a_larger_scene_looks_the_same_from_as_much_farther_off():
     motion, by = walk(0.6), camera()
-    large = project(stature.moved(by, 2.0), stature.resized(motion, 2.0).positions)[0]
+    large = project(scene_fit.moved(by, 2.0), scene_fit.resized(motion, 2.0).positions)[0]
     assert torch.allclose(large, project(by, motion.positions)[0], atol=1e-2)
 
 
@@ -80,7 +80,7 @@ def test_a_child_is_doubtful_unless_the_height_is_said(child):
     files = {"camera": child / "camera.json", "quick": True}
     doubted = fit.run_clip(child / "a.npz", child / "adult", **files)
     row = doubted["people"][0]
-    assert row["doubtful"] and row["seems_m"] == pytest.approx(0.6 * stature.STATURE, rel=0.1)
+    assert row["doubtful"] and row["seems_m"] == pytest.approx(0.6 * scene_fit.STATURE, rel=0.1)
     assert any("--height" in line for line in scene_report.lines(doubted))
     said = fit.run_clip(child / "a.npz", child / "child", height=1.1, **files)
     assert "seems_m" not in said["people"][0] and any("1.1 m tall" in note for note in said["notes"])
@@ -98,7 +98,7 @@ def test_without_a_place_of_the_camera_the_whole_scene_gets_the_height(child):
     found = [fit.run_clip(child / "a.npz", child / f"{h}", quick=True, height=h) for h in (None, 1.1)]
     motions = [bvh.load(child / f"{h}" / "motion.bvh") for h in (None, 1.1)]
     bones = torch.tensor([*found[0]["people"][0]["bones"].values()])
-    ratio = 1.1 / stature.of(replace(walk(1.0), skeleton=replace(STANDARD, offsets=body_shape.offsets(bones))))
+    ratio = 1.1 / scene_fit.stature(replace(walk(1.0), skeleton=replace(STANDARD, offsets=body_shape.offsets(bones))))
     heights = [float(m.positions[..., 2].max()) for m in motions]
     assert heights[1] / heights[0] == pytest.approx(ratio, rel=0.05)
     assert found[1]["people"][0]["pixels"]["mean"] == pytest.approx(found[0]["people"][0]["pixels"]["mean"], rel=0.02)

@@ -7,7 +7,6 @@ the joints of the file; what was kept stays bit for bit.
     corrections    a model on any skeleton: retarget, fill in windows, transfer the change back
     filling        between keys, hidden joints; ``editor`` in JupyterLab (keyframes)
     restore        without noise and glitches, poses from handles, new motion
-    planting       feet that stand stay where they are (foot_locking, footsteps)
-    looping        the end meets the beginning; motion in place
+    looping        feet that stand stay where they are (foot_locking); the end meets the beginning
     rewriting      into the file that the motion came from
 """

@@ -110,14 +110,9 @@ def found_joints(motion: Motion, words: Sequence[str]) -> set[int]:
 
 
 def inbetween(
-    motion: Motion,
-    keep: KeyMask,
-    *,
-    method: str | None = None,
-    seed: int | None = None,
-    plant: bool = True,
+    motion: Motion, keep: KeyMask, *, method: str | None = None, seed: int | None = None, plant: bool = True,
     progress: bool = False,
-) -> Animated:
+) -> Animated:  # fmt: skip
     """Computes a motion (T) between its kept frames, with kept joints as they are.
 
     Before the first kept frame and behind the last one curves hold the pose; the network goes on from motion that is

@@ -7,7 +7,6 @@ import html
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from itertools import groupby
 from pathlib import Path
 
 import torch
@@ -17,7 +16,7 @@ from motionlab.animate import filling
 from motionlab.animate.rewriting import write_back
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.motion import Motion
+from motionlab.motion import Motion, runs
 from motionlab.retarget import retarget
 from motionlab.viz.interactive import Player, _newest
 from motionlab.viz.movie import stage
@@ -44,8 +43,7 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
 
     path = Path(path).resolve()
     motion = io.load(path, **guided)
-    kept: set[int] = set()
-    made, last, lift = {"motion": motion}, motion.frames - 1, None
+    kept, made, last, lift = set(), motion, motion.frames - 1, None
     if body:
         with contextlib.suppress(DataError):
             lift = retarget(motion).floor
@@ -57,10 +55,10 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
         frame = min(step, last)
         return f"frame {frame} of {last}, {frame / motion.fps:.2f} s{', kept' if frame in kept else ''}"
 
-    def dress(made: Motion) -> Motion:
+    def dress(motion: Motion) -> Motion:
         if skin is None:
-            return made
-        shown = retarget(made, floor=False).motion
+            return motion
+        shown = retarget(motion, floor=False).motion
         return replace(shown, root=shown.root + torch.tensor([0.0, 0.0, lift]))
 
     given = dress(motion)
@@ -98,21 +96,20 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
         return filling.frames_named(frames.value, motion.frames, "frames kept")
 
     def make() -> Sequence[str]:
+        nonlocal kept, made
         now = read()
         say("making what lies between …")
         began = time.perf_counter()
         found = filling.inbetween(motion, filling.key_mask(motion, now, chosen.value), method=method.value or None)
-        taken, made["motion"] = time.perf_counter() - began, found.motion
-        kept.clear()
-        kept.update(now)
+        taken, made, kept = time.perf_counter() - began, found.motion, now
         strip.value = _strip(kept, motion.frames)
-        scene.exchange(dress(made["motion"]), panel=1)
+        scene.exchange(dress(made), panel=1)
         player.draw(player.hand.value)
         mark()
         count = motion.frames - len(kept)
         return (f"{count} of {motion.frames} frames made in {taken:.1f} s, {len(kept)} kept as they are", *found.notes)
 
-    def redraw(_: object) -> None:
+    def redraw(_: object = None) -> None:
         out.disabled = not attempt(make)
 
     def at() -> int:
@@ -133,21 +130,17 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
 
     def export() -> Sequence[str]:
         goal = Path(file.value).resolve()
-        return (f"{goal} is written: {write_back(path, goal, motion, made['motion'])}",)
+        return (f"{goal} is written: {write_back(path, goal, motion, made)}",)
 
-    def write(_: object) -> None:
-        if not out.disabled:
-            attempt(export)
-
-    again, then = _newest(redraw), _newest(write)  # in the order in which they were asked for
+    again = _newest(redraw)  # and exports, in the order in which they were asked for
     for hand in (frames, chosen, method):
         hand.observe(again, names="value")
     player.hand.observe(mark, names="value")
     keep.on_click(toggle)
     before.on_click(lambda _: jump(max((k for k in kept if k < at()), default=at())))
     after.on_click(lambda _: jump(min((k for k in kept if k > at()), default=at())))
-    out.on_click(then)
-    redraw(None)
+    out.on_click(_newest(lambda _: out.disabled or attempt(export)))
+    redraw()
 
     def titled(title: str, *hands: ipywidgets.Widget, width: str) -> ipywidgets.VBox:
         head = ipywidgets.HTML(f"<b>{title}</b>", layout={"margin": "0 2px"})
@@ -167,16 +160,15 @@ def editor(path: str | Path, backend: str | None = None, *, body: BodyModel | st
     return box
 
 
-def _runs(frames: Collection[int]) -> list[tuple[int, int]]:
-    """First and last of each run of frames without a gap."""
-    runs = groupby(enumerate(sorted(frames)), lambda pair: pair[1] - pair[0])
-    return [(run[0], run[-1]) for run in ([frame for _, frame in group] for _, group in runs)]
-
-
 def _text(frames: Collection[int], last: int) -> str:
     """Frames as a person writes them: 0,60-80,last."""
-    ends = [[("last" if end == last and end else str(end)) for end in run] for run in _runs(frames)]
+    ends = [["last" if end == last > 0 else str(end) for end in run] for run in _runs(frames, last + 1)]
     return ",".join(first if first == end else f"{first}-{end}" for first, end in ends)
+
+
+def _runs(frames: Collection[int], count: int) -> list[tuple[int, int]]:
+    """First and last of each run of frames without a gap."""
+    return [(a, b - 1) for a, b in runs(torch.isin(torch.arange(count), torch.tensor([*frames])))]
 
 
 def _strip(kept: Collection[int], count: int) -> str:
@@ -186,6 +178,6 @@ def _strip(kept: Collection[int], count: int) -> str:
     marks = "".join(
         f"<div style='{here}; left: calc({first * share:.3f}% - 1px); width: calc({(end - first) * share:.3f}% + 3px)'>"
         "</div>"
-        for first, end in _runs(kept)
+        for first, end in _runs(kept, count)
     )
     return f"<div style='position: relative; height: 8px; margin: 0 8px; background: {TILE}'>{marks}</div>"

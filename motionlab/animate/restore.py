@@ -64,14 +64,9 @@ def _measured_noise(motion: Motion) -> Noise:
 
 
 def repaired(
-    motion: Motion,
-    noise: Noise | None = None,
-    *,
-    method: str | None = None,
-    drift: bool = False,
-    plant: bool = True,
+    motion: Motion, noise: Noise | None = None, *, method: str | None = None, drift: bool = False, plant: bool = True,
     progress: bool = False,
-) -> Animated:
+) -> Animated:  # fmt: skip
     """Computes a motion (T) without glitches and noise, and says what was found.
 
     Frames that no body reaches (``cleaning``) are filled in from those around (``filling.inbetween``). Noise is then

@@ -246,7 +246,13 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
             raise at.error(f"{name} has no {what} of its own in every frame", place=f"node {node}")
         if accessor["componentType"] != 5126:
             raise at.error(f"its {what} are no floats", place=f"node {node}")
-        _put(data, start, content, output, rows.numpy(), values, numbers.numpy())
+        view = content["bufferViews"][accessor["bufferView"]]
+        begin = start + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        old, width = values.copy(), values.shape[1]
+        for t in rows.nonzero()[:, 0].tolist():  # quaternions take the sign of the frame before
+            flip = -1.0 if width == 4 and t and (old[t - 1] @ numbers[t].numpy()) < 0 else 1.0
+            old[t] = flip * numbers[t].numpy()
+            struct.pack_into(f"<{width}f", data, begin + t * view.get("byteStride", 4 * width), *old[t])
     return bytes(data)
 
 
@@ -280,19 +286,6 @@ def _of_whom(at: Location, content: dict, loaded: Motion) -> tuple[int, int | No
                 if (one.rot[:, 1:] - loaded.rot[:, 1:].to(one.rot)).abs().max() < 1e-4:
                     return person, number
     raise at.error("read at other times than those of its keys", place="times")
-
-
-def _put(data: bytearray, start: int, content: dict, output: int, rows: np.ndarray, old: np.ndarray, new: np.ndarray):
-    """Overwrite rows of an accessor; quaternions take the sign of the frame before."""
-    accessor = content["accessors"][output]
-    view = content["bufferViews"][accessor["bufferView"]]
-    width = old.shape[1]
-    first = start + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    old = old.copy()
-    for t in np.flatnonzero(rows):
-        flip = -1.0 if width == 4 and t and (old[t - 1] @ new[t]) < 0 else 1.0
-        old[t] = flip * new[t]
-        struct.pack_into(f"<{width}f", data, first + int(t) * view.get("byteStride", 4 * width), *old[t])
 
 
 WRITERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save, ".npy": humanml.save}

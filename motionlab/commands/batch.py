@@ -51,29 +51,20 @@ class Batch:
 
 
 def run_many(
-    function: Callable[[Any], Any],
-    jobs: Sequence[Any],
-    *,
-    finished: Callable[[Any], bool] | None = None,
-    jobs_at_once: int = 1,
-    cluster: str | None = None,
-    name: Callable[[Any], str] = str,
-) -> Batch:
+    function: Callable[[Any], Any], jobs: Sequence[Any], *, finished: Callable[[Any], bool] | None = None,
+    jobs_at_once: int = 1, cluster: str | None = None, name: Callable[[Any], str] = str,
+) -> Batch:  # fmt: skip
     """Runs a function on every job that is not finished yet, each on one thread; shows progress.
 
     A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
-    alone in it; all others are done. What one process computes, several do: nothing is shared between jobs. A single
-    job runs in this process, where Ctrl-C means to a fit that it should end at its best; of several, Ctrl-C ends those
-    that have begun, without a result. A cluster drops what has not begun; what its workers have begun they finish,
-    unseen from here.
+    alone in it; all others are done. Nothing is shared between jobs. A single job runs in this process, where Ctrl-C
+    means to a fit that it should end at its best; of several, Ctrl-C ends those that have begun, without a result. A
+    cluster drops what has not begun; what its workers have begun they finish, unseen from here.
 
-    Args:
-        function: of one job; it and the jobs are pickled, so a module's function, or a ``functools.partial`` of one.
-        finished: whether a job has been, by what its function writes last. It is asked before, and after.
-        jobs_at_once: processes on this machine.
-        cluster: address of a Dask scheduler, tcp://HOST:PORT, to have its workers do them, who have one thread each.
-            They need this library, and the folders of the jobs under the same names.
-        name: of a job, for messages.
+    function: of one job; both are pickled, so a module's function, or a ``functools.partial`` of one. finished: whether
+    a job has been, by what its function writes last; asked before, and after. jobs_at_once: processes on this machine.
+    cluster: address of a Dask scheduler, tcp://HOST:PORT, whose workers do them, one thread each; they need this
+    library, and the folders of the jobs under the same names. name: of a job, for messages.
 
     Raises:
         DataError: jobs_at_once is below 1, or above it with a cluster, which has processes of its own; no such

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import re
@@ -136,6 +137,17 @@ def table(checks: list[Check]) -> str:
         lines.append(f"{'ok ' if check.ok else '-- '} {check.name:<{width}}  {check.found}")
         lines += [] if check.ok else [f"    {'':<{width}}  remedy: {check.remedy}"]
     return "\n".join(lines)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Says what is here and what is missing; or installs and bakes it."""
+    if options.prepare:
+        return int(not prepare())
+    checks = examine(os.environ.get("MOTIONLAB_DATA"))
+    print(table(checks))
+    missing = sum(not check.ok for check in checks)
+    print(f"{missing} thing{'s' * (missing > 1)} to mend" if missing else "all is well")
+    return int(missing > 0)
 
 
 def prepare() -> bool:

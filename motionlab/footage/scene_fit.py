@@ -3,12 +3,14 @@
 Where the camera's place is not known, a fit of the seconds that show most finds one for all: the mean of what each of
 them says. Then they are fitted together under it. Footage of more than ``MAX_FRAMES`` frames is fitted in windows of
 ``WINDOW``; one that is done is kept, so that a rerun goes on where the last one stopped. What they share is blended.
+
+A fit knows adults. A scene that is 1.7 times as large looks the same to a camera that stands 1.7 times as far off: so a
+child of 1 m is fitted as an adult of 1.7 m, and everything is then made smaller again.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,16 +20,14 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab import posterior, rotation
+from motionlab import checkpoint, posterior, rotation
 from motionlab.baselines import interpolate
-from motionlab.files import write_whole, writing
-from motionlab.footage import stature
+from motionlab.files import writing
 from motionlab.humor import body_shape, testops
 from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.humor.priors import Priors
 from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.unknowns import window_starts
-from motionlab.io.reading import read_npz, reading
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.optimise import begins
@@ -40,8 +40,12 @@ BATCH = 8  # people who are fitted at once: 120 frames of one take about 0.5 GB
 _SHOWN = 15  # frames for which somebody may be unseen and still be shown
 MIN_KEYPOINTS = 4  # keypoints that place a person
 _KEYS = ("root", "rot", "contacts", "betas", "latent_chi2")  # of each person
-_SAID = ("energy", "terms", "reasons", "notes")  # of their fit: energy (E, P) of the named terms
 USED = [k for k in range(len(BODY_25)) if k not in UNUSED_BODY_25]  # keypoints of BODY_25 that a fit uses
+STATURE = 1.84  # metres: the standard body from sole to crown, as ``body.BodyModel`` draws it
+SMALL = 0.75  # from less of the standard's size on, a fit without ``height`` is doubtful
+_BONE_FRAMES = 5  # in which a bone must be seen
+_FEET = {"heel": 0.015, "big_toe": 0.015, "ankle": 0.08}  # metres above the floor
+_BONES = [("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")]
 _MODES = {"shooting": "lean", "rollout": "official"}  # of a fit by each solver: with rollout all of it is the original
 
 
@@ -112,7 +116,7 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     """Fits people (P, T, 25, 2), keypoints of BODY_25 at 30 fps, who share one static camera.
 
     Of each at least one frame shows ``MIN_KEYPOINTS`` of the keypoints that a fit uses. Of another ``height`` than an
-    adult's they are fitted as adults in a scene that is as much larger, see ``stature``. Ctrl-C keeps the best so far
+    adult's they are fitted as adults in a scene that is as much larger. Ctrl-C keeps the best so far
     of footage in one window; of longer footage it keeps the windows that are done.
 
     Raises:
@@ -132,6 +136,7 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
         floor = "camera"
     pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
     reasons, energy, stopped, many, draws = [], {}, False, len(starts) > 1, []
+    where = config.keep if many else None
     for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or config.progress is not True)):
         if many:
             begins(f"window {k + 1} of {len(starts)}", config.progress)
@@ -139,29 +144,31 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
         who = enough[:, span].any(-1).nonzero()[:, 0].tolist()
         for some in (who[k : k + BATCH] for k in range(0, len(who), BATCH)):
             part = _cut(seen, some, span)
-            file = None if not many or config.keep is None else config.keep / f"{_key(part, camera, config)}.npz"
-            found = None if file is None else _kept(file, len(some), length)
+            file = where and where / f"{_key(part, camera, config)}.safetensors"
+            found = file and checkpoint.kept(file)
             if found is None:
                 inner = config if not many else replace(config, progress=False)
                 fitted = inner.fit(part, camera, floor)
                 stopped |= fitted.stopped
                 if fitted.stopped and many:
                     raise KeyboardInterrupt
-                found = _arrays(fitted)
+                found = _told(fitted)
                 if config.draws and not many and not stopped:
                     random = {"generator": torch.Generator().manual_seed(0)}
                     draws += [posterior.sample(fitted, config.draws, clip=k, **random) for k in range(len(some))]
                 if floor in (None, "guess"):  # one person, one window
                     camera = fitted.cameras[0]
-                if file is not None:
-                    _keep(file, found)
-            notes += found["notes"].tolist()
-            reasons += found["reasons"].tolist()
-            for name, values in zip(found["terms"].tolist(), found["energy"].tolist(), strict=True):
+                if file:
+                    with writing(where):
+                        where.mkdir(parents=True, exist_ok=True)
+                    checkpoint.keep(file, *found)
+            tensors, (said, ended, terms) = found
+            notes, reasons = notes + said, reasons + ended
+            for name, values in zip(terms, tensors["energy"].tolist(), strict=True):
                 for person, value in zip(some, values, strict=True):
                     energy.setdefault(name, [0.0] * people)[person] += value
             for row, person in enumerate(some):
-                pieces[person].append({"start": start} | {key: found[key][row] for key in _KEYS})
+                pieces[person].append({"start": start} | {key: tensors[key][row] for key in _KEYS})
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
     latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
     shown = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)[:, 0] > 0
@@ -180,14 +187,14 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
 
 
 def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> SceneFit:
-    factor = height / stature.STATURE
-    camera = stature.moved(config.camera, 1 / factor) if config.placed else config.camera
-    found = fit_people(seen, replace(config, camera=camera, height=None))
+    factor, camera = height / STATURE, config.camera
+    first = moved(camera, 1 / factor) if config.placed else camera
+    found = fit_people(seen, replace(config, camera=first, height=None))
     if not config.placed:  # nothing but the bones says how large the scene is
-        factor = height / float(np.mean([stature.of(motion) for motion in found.motions]))
-    motions = tuple(stature.resized(motion, factor) for motion in found.motions)
-    draws = tuple(each.changed(lambda m: stature.resized(m, factor)) for each in found.draws)
-    camera = config.camera if config.placed else stature.moved(found.camera, factor)
+        factor = height / float(np.mean([stature(motion) for motion in found.motions]))
+        camera = moved(found.camera, factor)
+    motions = tuple(resized(motion, factor) for motion in found.motions)
+    draws = tuple(each.changed(lambda m: resized(m, factor)) for each in found.draws)
     note = f"{height:g} m tall: fitted as an adult, {1 / factor:.3g} times as large, and made smaller again"
     return replace(found, motions=motions, camera=camera, notes=(*found.notes, note), draws=draws)
 
@@ -218,20 +225,19 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
     return camera, [note for note in fitted.notes if "camera assumed" in note]
 
 
-def _arrays(fitted: testops.Fitted) -> dict[str, Tensor | np.ndarray]:
-    """What is kept of a fit: tensors, and in arrays of text what it said."""
-    motion, people = fitted.motion, len(fitted.betas)
-    nothing = motion.root.new_full((people,), float("nan"))
-    doubts = fitted.diagnostics
-    windows = 1 if doubts is None else len(doubts.latent_chi2) // people
+def _told(fitted: testops.Fitted) -> tuple[dict[str, Tensor], tuple[list[str], ...]]:
+    """What is kept of a fit: tensors, their energies (E, P) by term; notes, why each search ended, and the terms."""
+    motion, people, doubts = fitted.motion, len(fitted.betas), fitted.diagnostics
+    latent_chi2 = motion.root.new_full((people,), float("nan"))
+    if doubts is not None:
+        latent_chi2 = doubts.latent_chi2.unflatten(0, (people, -1)).mean(-1)
     energy = fitted.energies[max(fitted.energies)]
-    return {
+    tensors = {
         "root": motion.root, "rot": motion.rot, "contacts": fitted.contacts, "betas": fitted.betas.detach(),
-        "latent_chi2": nothing if doubts is None else doubts.latent_chi2.unflatten(0, (people, windows)).mean(-1),
-        "energy": torch.stack([*energy.values()]).detach(), "terms": np.array([*energy], str),
-        "reasons": np.array([one.reasons[-1] for some in fitted.results.values() for one in some], str),
-        "notes": np.array([note for note in fitted.notes if "doubts" not in note], str),
+        "latent_chi2": latent_chi2, "energy": torch.stack([*energy.values()]).detach(),
     }  # fmt: skip
+    notes = [note for note in fitted.notes if "doubts" not in note]
+    return tensors, (notes, [one.reasons[-1] for some in fitted.results.values() for one in some], [*energy])
 
 
 def _key(part: Observation2D, camera: Camera, config: SceneFitConfig) -> str:
@@ -242,28 +248,8 @@ def _key(part: Observation2D, camera: Camera, config: SceneFitConfig) -> str:
     tensors += (first.weights, first.means, first.covariances)
     for tensor in (*tensors, *(weight for network in networks for weight in network.parameters())):
         content.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    content.update(repr((config.schedule, config.solver, config.size, _KEYS, _SAID)).encode())
+    content.update(repr((config.schedule, config.solver, config.size, _KEYS)).encode())
     return content.hexdigest()[:16]
-
-
-def _keep(file: Path, found: dict[str, Tensor | np.ndarray]) -> None:
-    with writing(file.parent):
-        file.parent.mkdir(parents=True, exist_ok=True)
-    archive = io.BytesIO()
-    np.savez(archive, **{key: np.asarray(value) for key, value in found.items()})
-    write_whole(file, archive.getvalue())
-
-
-def _kept(file: Path, people: int, length: int) -> dict[str, Tensor | np.ndarray] | None:
-    """What an earlier run found, if it is there and whole."""
-    if not file.exists():
-        return None
-    with reading(file, "delete it") as at:
-        kept = read_npz(at, (*_KEYS, *_SAID)).items()
-        found = {key: x if x.dtype.kind == "U" else torch.from_numpy(x.copy()) for key, x in kept}
-        if set(found) != {*_KEYS, *_SAID} or found["root"].shape != (people, length, 3):
-            raise at.error("not a window of this footage")
-        return found
 
 
 def _joined(parts: Sequence[dict[str, Tensor]], frames: int, fps: float) -> Motion:
@@ -308,3 +294,47 @@ def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> t
     up = torch.tensor([0.0, 0.0, lift])
     moved = [replace(motion, root=motion.root + up) for motion in motions]
     return moved, replace(camera, translation=camera.translation - camera.rotation @ up), lift
+
+
+def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
+    """Computes how large people (P, T, 25) are, as a share of the standard body; NaN where that cannot be told.
+
+    Their lower foot is on the floor, z = 0. There the thighs, shins, upper arms and forearms have the length that the
+    camera saw, but for what points towards it: of each the length that nine in ten frames do not exceed, of these
+    the median.
+    """
+    heights = torch.full((len(BODY_25),), torch.nan)
+    for name, height in _FEET.items():
+        heights[[BODY_25.index(f"{side}_{name}") for side in ("left", "right")]] = height
+    points = torch.where(seen.confidence[..., None] > 0, seen.keypoints, torch.nan).double()
+    k = camera.intrinsics.double()
+    plane = (points - k[:2, 2]) / k[[0, 1], [0, 1]]
+    rays = torch.nn.functional.pad(plane, (0, 1), value=1.0) @ camera.rotation.double()
+    depth = (heights - float(camera.centre[2])) / rays[..., 2]
+    depth = torch.where((depth > 0) & (rays[..., 2] < 0), depth, torch.nan)
+    lower = depth.nan_to_num(torch.inf).amin(-1)  # the foot that is on the floor is the nearer one
+    level = (rays[..., :2].norm(dim=-1) / rays.norm(dim=-1)).nanmedian(-1).values.clamp(min=0.5)
+    sizes = []
+    for a, b in _BONES:
+        for side in ("left", "right"):
+            one, other = BODY_25.index(f"{side}_{a}"), BODY_25.index(f"{side}_{b}")
+            length = float(STANDARD.offsets[STANDARD.index(f"{side}_{b}")].norm())
+            sizes.append((plane[..., one, :] - plane[..., other, :]).norm(dim=-1) * lower / level / length)
+    size = torch.stack(sizes, 1)  # (P, 8, T)
+    told = size.isfinite() & (size.isfinite().sum(-1, keepdim=True) >= _BONE_FRAMES)
+    return torch.where(told, size, torch.nan).nanquantile(0.9, dim=-1).nanmedian(-1).values.tolist()
+
+
+def resized(motion: Motion, factor: float) -> Motion:
+    """Returns a motion ``factor`` times as large, about the origin."""
+    return replace(motion, skeleton=motion.skeleton.scaled(factor), root=motion.root * factor)
+
+
+def moved(camera: Camera, factor: float) -> Camera:
+    """Returns the camera that sees the same of a scene ``factor`` times as large."""
+    return replace(camera, translation=camera.translation * factor)
+
+
+def stature(motion: Motion) -> float:
+    """Computes a fitted person's height, metres, from their bones: as the standard's, where they stand."""
+    return STATURE * float(motion.skeleton.standing_height() / STANDARD.standing_height())

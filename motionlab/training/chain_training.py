@@ -106,11 +106,11 @@ class ChainTraining(TrainingRun):
     data_name, least = "examples", 0.01
     reads = staticmethod(lambda content: ChainRecipe(**content))
 
-    def __init__(self, recipe: ChainRecipe, examples: LiveExamples, start: Cvae | None = None) -> None:
-        if examples.length != recipe.length + 1:
-            raise DataError(f"windows of {examples.length} states for {recipe.length} transitions")
-        self.examples = examples
-        some, *_ = examples.drawn(2000, torch.Generator().manual_seed(recipe.seed))
+    def __init__(self, recipe: ChainRecipe, windows: Windows, start: Cvae | None = None) -> None:
+        if windows.length != recipe.length + 2:
+            raise DataError(f"windows of {windows.length - 1} states for {recipe.length} transitions")
+        self.windows = windows
+        some, *_ = drawn(windows, 2000, torch.Generator().manual_seed(recipe.seed))
         pairs = tuple(x.flatten(0, 1) for x in state.transition_pairs(some))
         self.scales = replace(Scales.measure(*pairs), half=fast_halves())
         model = seeded(recipe.seed, lambda: Cvae(recipe.width, skip=True, direct=True))
@@ -122,14 +122,14 @@ class ChainTraining(TrainingRun):
         else:
             model = self.scales.unfolded(start).requires_grad_(requires_grad=True).train()
         optimiser = torch.optim.Adamax(model.parameters(), lr=recipe.lr)
-        super().__init__(recipe, examples.digest, torch.Generator().manual_seed(recipe.seed), model, optimiser)
+        super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model, optimiser)
 
     def _ready(self, model: Cvae) -> Cvae:
         return self.scales.folded(model).frozen()
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe, share = self.recipe, self.step / self.recipe.steps
-        states, contacts, offsets, seen = self.examples.drawn(recipe.batch, self.generator)
+        states, contacts, offsets, seen = drawn(self.windows, recipe.batch, self.generator)
         opened, free = (round(part * recipe.batch) for part in (recipe.open_loop, recipe.free_running))
         closed, judged = recipe.batch - opened - free, recipe.batch - free
         truth = min(1.0, max(0.0, 1 - (share - recipe.sampling_start) / (recipe.sampling_end - recipe.sampling_start)))
@@ -189,36 +189,25 @@ class ChainTraining(TrainingRun):
 
 
 # -------------------------------------------------------------------------------------------------- what it learns from
-@dataclass(frozen=True, eq=False)
-class LiveExamples:
-    """Windows of states that are computed when they are drawn: half of them mirrored, each on another body.
+def drawn(
+    windows: Windows, count: int, generator: torch.Generator, bodies: float = _PEOPLE
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Draws states evenly over all frames, half of them mirrored, each window on another body; computed when they are
+    drawn, as those of hours of motion would not fit into memory. Velocities are backward differences.
 
-    For hours of motion, whose states would not fit into memory. Velocities are backward differences.
+    windows: L + 1 frames with contacts, 30 fps, floor at z = 0. bodies: standard deviation of the bodies' betas; one
+    recording in three keeps its own.
 
-    motions: windows of ``length`` + 1 frames with contacts, 30 fps, floor at z = 0. bodies: standard deviation of the
-    bodies' betas; one recording in three keeps its own.
+    Returns:
+        states (B, L, 339), contacts (B, L, 9), offsets (B, 22, 3), and which joints' rotations were recorded (B, 22).
     """
-
-    motions: Windows
-    length: int
-    bodies: float = _PEOPLE
-
-    def drawn(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Draws windows evenly over all frames: states (B, L, 339), contacts (B, L, 9), offsets (B, 22, 3), and which
-        joints' rotations were recorded (B, 22), bool."""
-        motion, clip = self.motions.drawn(count, generator)
-        betas = self.bodies * torch.randn(count, body_shape.BETAS, generator=generator)
-        betas = betas * (torch.rand(count, 1, generator=generator) < 2 / 3)
-        motion = _grown(motion, body_shape.scales(betas)[:, None, :, None])
-        states = state.from_motion(motion, causal=True)
-        seen = self.motions.seen
-        recorded = torch.ones(count, len(STANDARD), dtype=torch.bool) if seen is None else seen[clip]
-        return states[:, 1:], motion.contacts[:, 1:], motion.skeleton.offsets[:, 0], recorded
-
-    @property
-    def digest(self) -> str:
-        """Computes a hash of all numbers, for the recipe."""
-        return self.motions.digest
+    motion, clip = windows.drawn(count, generator)
+    betas = bodies * torch.randn(count, body_shape.BETAS, generator=generator)
+    betas = betas * (torch.rand(count, 1, generator=generator) < 2 / 3)
+    motion = _grown(motion, body_shape.scales(betas)[:, None, :, None])
+    states = state.from_motion(motion, causal=True)
+    recorded = torch.ones(count, len(STANDARD), dtype=torch.bool) if windows.seen is None else windows.seen[clip]
+    return states[:, 1:], motion.contacts[:, 1:], motion.skeleton.offsets[:, 0], recorded
 
 
 def random_body(motion: Motion, generator: torch.Generator) -> Motion:

@@ -1,34 +1,45 @@
-"""What is trained without end, each by what, on what, and judged how: completers, the thesis's own denoiser and the
-transition prior; see ``train_more``."""
+"""``motionlab train NAME``: trains for days, at the lowest priority, until somebody stops it; and ``train small`` and
+``features`` (``recipes``), which end.
 
-from dataclasses import replace
+``--more`` goes on from the state that is kept in the cache, or else from the weights that ship. Now and then the
+averaged weights are judged on the validation people; only better ones are written. After a whole schedule the next one
+begins from the best weights, at half the rate. When it is killed, nothing but the last minutes is lost.
+"""
+
+import argparse
+import contextlib
+import hashlib
+import math
+import os
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
-from motionlab import checkpoint
+from motionlab import checkpoint, corpus, splits
 from motionlab.bench import cases
 from motionlab.bench.cases import PersonWindows, by_person, person_windows
 from motionlab.bench.judge import CASES, FRAMES, judged
 from motionlab.contact import with_contacts
+from motionlab.corpus import Take
 from motionlab.diffusion import completer, state
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
 from motionlab.diffusion.denoising import Noise, smoothed
+from motionlab.diffusion.encoder import EncoderRecipe
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
-from motionlab.diffusion.windows import Windows, on_standard
+from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
 from motionlab.humor.quality import quality_row
-from motionlab.motion import Motion
-from motionlab.training import train_more
-from motionlab.training.chain_training import ChainRecipe, ChainTraining, LiveExamples
+from motionlab.training import recipes
+from motionlab.training.chain_training import ChainRecipe, ChainTraining
 from motionlab.training.completer_training import CompleterTraining
 from motionlab.training.denoiser_training import DenoiserTraining
 from motionlab.training.model_card import person_states
-from motionlab.training.train_more import learnt_from
-from motionlab.training.training_loop import fast_halves
+from motionlab.training.training_loop import TrainingRun, fast_halves
 
 _EACH = 12  # windows of each validation person
 LEGS_AND_GAPS = "legs and gaps, cm"  # the mean of the first three cases: error, or energy score of draws
@@ -45,15 +56,59 @@ _BODIES = "own bones", "standard body"
 _MOST = 8  # windows of two seconds of each validation person
 
 
-class CompleterCourse(train_more.Course):
+def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) -> tuple[Windows, list[Take]]:
+    """Returns windows of the training people, and of synthetic ones, drawn by person; and takes of validation people.
+
+    own: every motion also on its own bones; else on the standard body alone.
+
+    Raises:
+        DataError: no folder, or nothing usable in it.
+    """
+    found, made = recipes.sources(folder)
+    takes = [t for t in found.part("train") if t.motion.frames >= frames]
+    motions, times = [t.motion for t in takes] + made, 1 + own
+    windows = gather(
+        [*(motions if own else ()), *map(on_standard, motions)], frames,
+        missing=([t.missing for t in takes] + [()] * len(made)) * times,
+        people=([t.person for t in takes] + [splits.SYNTHETIC] * len(made)) * times,
+    )  # fmt: skip
+    return windows, found.part("val")
+
+
+class Course:
+    """What is trained without end, and what a model of it is worth (``load``, ``save`` and ``measured`` of each: first
+    what chooses, less is better).
+
+    name: of what ships. recipe: of new weights. windows: that it learns from; bodies: on so many each motion is there.
+    held: what it is judged on. trainer: its run. built: fields of a recipe that weights decide.
+    """
+
+    bodies = 1
+    trainer: ClassVar[type[TrainingRun]]
+    built: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, name: str, recipe: Any, folder: Path | str | None, data: tuple[Windows, Any] | None = None):
+        """data: windows and what is held out, instead of the folder's."""
+        self.name, self.recipe = name, recipe
+        self.windows, self.held = data or self._data(folder)
+
+    def _data(self, folder: Path | str | None) -> tuple[Windows, Any]:
+        """Windows of the folder's training people, and of its validation people."""
+        windows, takes = learnt_from(folder, FRAMES)
+        return windows, person_windows(takes, FRAMES, _EACH)
+
+    def begun(self, recipe: Any, first: Any) -> TrainingRun:
+        """A new run of a recipe, from the weights of a model or None; its ``earlier`` counts the steps behind them."""
+        if first is not None:
+            recipe = replace(recipe, **{name: getattr(first.recipe, name) for name in self.built})
+        return self.trainer(recipe, self.windows, first)
+
+
+class CompleterCourse(Course):
     """A completer, judged on windows of the validation people. Draws begin with new weights: those of one answer are
     never left behind (docs/experiments.md)."""
 
     trainer, built = CompleterTraining, ("frames", "size", "layers", "patch")
-
-    def _data(self, folder: Path | str | None) -> tuple[Windows, PersonWindows]:
-        windows, takes = learnt_from(folder, FRAMES)
-        return windows, person_windows(takes, FRAMES, _EACH)
 
     def load(self, path: Path) -> Completer:
         """Reads one that draws, or not, as the recipe says."""
@@ -100,24 +155,19 @@ def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
     return {"noise, cm": sum(left) / len(left)} | row
 
 
-class DenoiserCourse(train_more.Course):
+class DenoiserCourse(Course):
     """A denoiser that is told nothing, of the kind of its first weights."""
 
     trainer, built = DenoiserTraining, ("size", "patch", "frame", "noising")
-
-    def _data(self, folder: Path | str | None) -> tuple[Windows, Motion]:
-        windows, takes = learnt_from(folder, FRAMES)
-        return windows, person_windows(takes, FRAMES, _EACH).motion
-
     load, save = staticmethod(load_denoiser), staticmethod(save_denoiser)
 
     def measured(self, model: MotionDiffusion) -> dict[str, float]:
         """Errors of x_0 at five steps, and first their mean."""
-        errors = model.errors(self.held, torch.Generator().manual_seed(0))
+        errors = model.errors(self.held.motion, torch.Generator().manual_seed(0))
         return {MEAN_ERROR: sum(errors.values()) / len(errors)} | errors
 
 
-class PriorCourse(train_more.Course):
+class PriorCourse(Course):
     """A transition prior: half of its windows are of people's own bones, half of the standard body, which fits use;
     two in three of either on other betas. Held: by body and person, states and contacts (W, 61, ...)."""
 
@@ -130,11 +180,6 @@ class PriorCourse(train_more.Course):
         if not held[_BODIES[0]]:
             raise DataError("no validation people are there", path=folder, remedy="unpack cmu_library into it")
         return windows, held
-
-    @property
-    def examples(self) -> LiveExamples:
-        """On other bodies, as states."""
-        return LiveExamples(self.windows, self.recipe.length + 1)
 
     def load(self, path: Path) -> Cvae:
         """Reads one of this kind."""
@@ -179,3 +224,110 @@ COURSES = {
     "diffusion_plain": (DenoiserCourse, DenoiserRecipe(bf16=fast_halves())),
     "transition": (PriorCourse, ChainRecipe()),
 }  # fmt: skip
+
+
+def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500, schedules: int | None = None) -> None:
+    """Trains, and writes to ``out`` what is better than what stands there, until Ctrl-C.
+
+    more: go on from the kept state, or from ``out``; False: new weights. every: steps between two judgements; the state
+    is kept ten times as often. schedules: how many; None: no end.
+
+    Raises:
+        DataError: ``out`` is of another kind of model.
+    """
+    _give_way()
+    best, there, behind, kept = math.inf, None, 0, _kept(course.name, out)
+    if out.with_suffix(".safetensors").exists():
+        there, behind = course.load(Path(out)), checkpoint.read_recipe(out).get("step", 0)
+        best = next(iter(course.measured(there).values()))
+        print(f"{out.with_suffix('.safetensors')}: {best:.3f}", flush=True)
+    run = _run(course, kept, there if more else None, more)
+    if more and there and not run.step:
+        run.earlier, run.curve = behind, checkpoint.read_recipe(out).get("curve", [])
+
+    def judge(model: Any) -> dict[str, float]:
+        nonlocal best, there, behind
+        row = course.measured(model)
+        if next(iter(row.values())) < best:
+            best, there, behind = next(iter(row.values())), model, run.earlier + run.step
+            course.save(out, model, _about(course, run, row))
+            print(f"{out.with_suffix('.safetensors')}: {best:.3f}", flush=True)
+        return row
+
+    while True:
+        run.run(keep=kept, every=max(every // 10, 1), judge=judge, judge_every=every, progress=True)
+        schedules = None if schedules is None else schedules - 1
+        if schedules == 0:
+            return
+        first, steps = (there, behind) if more else (run.shipped, run.earlier + run.best["step"])
+        before, again = run, replace(run.recipe, lr=run.recipe.lr / 2, seed=run.recipe.seed + 1)
+        run = course.begun(again, first)
+        run.curve, run.earlier = before.curve, steps
+
+
+def _kept(name: str, out: Path) -> Path:
+    """Where the state of a run is kept that writes to ``out``."""
+    where = hashlib.sha256(str(Path(out).resolve()).encode()).hexdigest()[:8]
+    folder = corpus.cache_folder().with_name("training")
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / f"{name}-{where}.partial.pt"
+
+
+def _give_way() -> None:
+    """The lowest priority; of a session that it leads (``setsid``) also against other sessions."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.nice(19)
+        if os.getsid(0) == os.getpid():
+            Path("/proc/self/autogroup").write_text("19", encoding="ascii")  # of Linux, whose nice ends at a session
+
+
+def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
+    """The kept run where there is one on these windows; else a new one. A kept run that is not gone on with is put
+    aside."""
+    if more and kept.exists():
+        try:
+            run = course.trainer.resume(kept, course.windows)
+            print(f"goes on at step {run.step} of {run.recipe.steps}, as it was begun: {kept}", flush=True)
+            return run
+        except DataError as error:
+            print(f"begins anew: {error}", flush=True)
+    if kept.exists():
+        kept.replace(kept.with_suffix(".old"))
+    return course.begun(replace(course.recipe, lr=course.recipe.lr / 2) if there else course.recipe, there)
+
+
+def _about(course: Course, run: TrainingRun, row: dict[str, float]) -> dict:
+    frames = course.windows.people[course.windows.clip].bincount()  # synthetic people come last
+    *real, made = (frames / course.windows.fps / 60 / course.bodies).tolist()
+    chosen, recipe = next(iter(row)), run.recipe
+    curve = [{name: at[name] for name in ("step", "loss", chosen)} for at in run.curve if at.keys() >= {"loss", chosen}]
+    return {
+        "made by": f"python -m motionlab train {course.name} --more --steps {recipe.steps} --data FOLDER",
+        "step": run.earlier + run.step, "recipe": asdict(recipe), "windows": run.digest, "torch": torch.__version__,
+        "minutes of motion, before mirroring": {splits.RECORDED: sum(real), splits.SYNTHETIC: made},
+        "people": len(real), "quality, validation people": row,
+        "curve": [*curve, {"step": run.earlier + run.step, chosen: row[chosen]}],
+    }  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """``train``: what is small in minutes, a course until Ctrl-C."""
+    name, out = options.model, options.out
+    if options.more and name not in COURSES:
+        raise DataError(f"{name} takes no --more", remedy=f"it is for {', '.join(COURSES)}")
+    if name == "small":
+        data, out = recipes.real_motions(options.data), out or checkpoint.SHIPPED
+        recipes.make_pose_prior(data, out, seed=options.seed, steps=options.steps or recipes.STEPS)
+        recipes.make_init_gmm(data, out, seed=options.seed)
+        return 0
+    kind, recipe = COURSES.get(name, (None, EncoderRecipe()))
+    recipe = replace(recipe, seed=options.seed, steps=options.steps or recipe.steps)
+    if kind is None:
+        recipes.make_encoder(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
+        return 0
+    try:
+        course, every = kind(name, recipe, options.data), min(2500, -(-recipe.steps // 8))
+        go_on(course, out or checkpoint.SHIPPED / name, more=options.more, every=every)
+    except KeyboardInterrupt:
+        print("stopped; the same command with --more goes on")
+    return 0

@@ -1,28 +1,66 @@
-"""Trains and writes the small checkpoints that ship: pose prior, initial-state mixture and motion encoder."""
+"""Trains and writes the small checkpoints that ship: pose prior, initial-state mixture, and the autoencoder in whose
+latent features generated motion is judged (``diffusion.encoder``).
 
+Source: VPoser (Pavlakos et al. 2019); HuMoR (Rempe et al. 2021), section 4.2.
+Differs: ``MIXTURE_RIDGE`` on the diagonals of our mixture is more than the official 1e-6. Two places and three
+velocities among the features are fixed by others, so that 1e-6 asks the optimiser to hold them to a millimetre and to a
+millimetre per second.
+"""
+
+import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from data_synth import anatomy, corpus
-from motionlab import checkpoint, splits
-from motionlab import corpus as real_corpus
+from data_synth import corpus as synthetic
+from motionlab import checkpoint, corpus, rotation, splits
 from motionlab.diffusion import encoder
-from motionlab.diffusion.windows import gather, on_standard
-from motionlab.errors import DataError
+from motionlab.diffusion.windows import Windows, gather, on_standard
+from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.humor import priors, state
-from motionlab.humor.priors import InitGmm
+from motionlab.humor.cvae import Gaussian, kl
+from motionlab.humor.priors import InitGmm, PosePrior
 from motionlab.motion import Motion, mirror
-from motionlab.skeleton import STANDARD
-from motionlab.training import encoder_training, prior_training
+from motionlab.skeleton import STANDARD, fk
 from motionlab.training.chain_training import random_body
+from motionlab.training.training_loop import TrainingRun, seeded
 
 STEPS = 4000  # of the pose prior
+_COMPONENTS = 12
+MIXTURE_RIDGE = 1e-4  # square metres, or (metres per second)^2: one centimetre
+#: What the reconstruction may miss by: radians per joint and metres per joint, one standard deviation.
+POSE_TURN, POSE_PLACE = 0.10, 0.02
+#: Probability with which a limb comes from another pose: unseen poses are found better, samples are a bit less human.
+_SHARE = 0.2
+_FLIP = torch.tensor([-1.0, 1.0, 1.0])
+_PARTNER = [j - 1 for j in STANDARD.mirror_indices[1:]]
+#: Joints of the legs and of either arm, among the 21: these move on their own.
+_LIMBS = [
+    [j for j, name in enumerate(STANDARD.names[1:]) if any(part in name for part in parts)]
+    for parts in (
+        ("hip", "knee", "ankle", "foot"),
+        ("left_collar", "left_shoulder", "left_elbow", "left_wrist"),
+        ("right_collar", "right_shoulder", "right_elbow", "right_wrist"),
+    )
+]
 _COMMAND = "python -m motionlab train small --data FOLDER"
+
+
+def sources(folder: Path | str | None) -> tuple[corpus.Corpus, list[Motion]]:
+    """Returns what models learn from: the recordings of a folder, and synthetic motion.
+
+    Raises:
+        DataError: no folder, or nothing usable in it.
+    """
+    if not folder:
+        raise DataError("this model learns from recordings", remedy="name a folder of them with --data")
+    made = synthetic.build(version="B").train
+    return corpus.assemble(folder, splits.real_sources(folder)), [sequence.motion for sequence in made]
 
 
 class RealMotions(NamedTuple):
@@ -34,19 +72,12 @@ class RealMotions(NamedTuple):
 
 
 def real_motions(folder: Path | str | None) -> RealMotions:
-    """Returns what recordings (``corpus.assemble``) and synthetic motion teach.
-
-    Raises:
-        DataError: no folder, or nothing usable in it.
-    """
-    if not folder:
-        raise DataError("these models learn from recordings", remedy="name a folder of them with --data")
-    found, made = real_corpus.assemble(folder, splits.real_sources(folder)), corpus.build(version="B")
+    """Returns what recordings (``corpus.assemble``) and synthetic motion teach (:func:`sources`)."""
+    found, made = sources(folder)
     takes = found.part("train")
-    train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: [s.motion for s in made.train]}
-    missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made.train)}
-    held = {"validation people": [t.motion for t in found.part("val")]}
-    return RealMotions(train, held, missing)
+    train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: made}
+    missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made)}
+    return RealMotions(train, {"validation people": [t.motion for t in found.part("val")]}, missing)
 
 
 def _poses(motions: Sequence[Motion], every: int = 1) -> Tensor:
@@ -68,8 +99,8 @@ def _first_states(motions: Sequence[Motion], every: int, generator: torch.Genera
     return torch.cat(found)
 
 
-def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int = STEPS) -> dict:
-    """Trains and writes the pose prior into a folder; returns its recipe."""
+def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int = STEPS) -> None:
+    """Trains and writes the pose prior into a folder."""
     generator = torch.Generator().manual_seed(seed)
     found = {source: _poses(motions) for source, motions in data.train.items()}
     odds = [torch.full((len(x),), 1 / len(x)) for x in found.values()]  # each source as often as the other
@@ -78,51 +109,43 @@ def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int =
     counts = torch.tensor([m.frames for some in data.train.values() for m in some])
     rows = torch.tensor([[joint not in names for joint in STANDARD.names[1:]] for names in lacks])
     how = {"steps": steps, "weight": torch.cat(odds), "seen": rows.repeat_interleave(counts, 0)}
-    model, history = prior_training.train_pose_prior(every, generator, **how)
-    drawn = prior_training.samples(model, 2000, torch.Generator().manual_seed(seed))
+    model, history = train_pose_prior(every, generator, **how)
     recipe = {
         "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
         "command": f"{_COMMAND} --steps {steps} --seed {seed}",
         "data": {source: len(x) for source, x in found.items()},
-        "corpus": asdict(corpus.Recipe()), "seed": seed, "steps": steps,
-        "deviation": {"radians": prior_training.POSE_TURN, "metres": prior_training.POSE_PLACE},
-        "held out": {name: prior_training.reconstruction(model, _poses(some, 3)) for name, some in data.held.items()},
-        "beyond anatomical limits, degrees": {
-            "samples": _beyond_limits(drawn), "training poses": _beyond_limits(every[::50]),
-        },
+        "corpus": asdict(synthetic.Recipe()), "seed": seed, "steps": steps,
+        "deviation": {"radians": POSE_TURN, "metres": POSE_PLACE},
+        "held out": {name: reconstruction(model, _poses(some, 3)) for name, some in data.held.items()},
         "history": [[step, round(miss, 3), round(nats, 3)] for step, miss, nats in history],
     }  # fmt: skip
     tensors = {n: x for n, x in model.state_dict().items() if not n.endswith("num_batches_tracked")}
     checkpoint.save(out / "pose_prior_real", tensors, recipe)
-    return recipe
 
 
-def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> dict:
-    """Fits and writes the mixture into a folder; returns its recipe."""
+def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> None:
+    """Fits and writes the mixture into a folder."""
     generator = torch.Generator().manual_seed(seed)
     samples = _first_states([m for some in data.train.values() for m in some], 30, generator)
-    gmm, history = prior_training.fit_mixture(samples, generator)
+    gmm, history = fit_mixture(samples, generator)
     gmm = InitGmm(*(x.float() for x in gmm.tensors().values()))
-    single, _ = prior_training.fit_mixture(samples, generator, components=1)
-    held = {}
-    for source, some in data.held.items():
-        x = _first_states(some, 3)
-        nats = (round(float(each.log_prob(x).mean()), 2) for each in (gmm, single))
-        held[source] = dict(zip(("mixture", "single Gaussian"), nats, strict=True)) | {"frames": len(x)}
+    held = {name: gmm.log_prob(_first_states(some, 3)) for name, some in data.held.items()}
     recipe = {
         "what": "mixture of Gaussians over joints and velocities of a single frame",
         "command": f"{_COMMAND} --seed {seed}",
         "data": {source: sum(m.frames for m in some) for source, some in data.train.items()},
-        "samples": len(samples), "corpus": asdict(corpus.Recipe()), "seed": seed, "components": len(gmm.weights),
-        "ridge": prior_training.MIXTURE_RIDGE, "weights": [round(w, 4) for w in gmm.weights.tolist()],
-        "held-out log-likelihood, nats per frame": held, "history": [round(x, 3) for x in history],
+        "samples": len(samples), "corpus": asdict(synthetic.Recipe()), "seed": seed, "components": len(gmm.weights),
+        "ridge": MIXTURE_RIDGE, "weights": [round(w, 4) for w in gmm.weights.tolist()],
+        "held-out log-likelihood, nats per frame": {
+            name: {"mixture": round(float(x.mean()), 2), "frames": len(x)} for name, x in held.items()
+        },
+        "history": [round(x, 3) for x in history],
     }  # fmt: skip
     checkpoint.save(out / "init_gmm_real", gmm.tensors(), recipe)
-    return recipe
 
 
-def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRecipe) -> dict:
-    """Trains and writes the features that generated motion is judged in (``diffusion.encoder``); returns the recipe.
+def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRecipe) -> None:
+    """Trains and writes the features that generated motion is judged in (``diffusion.encoder``).
 
     folder: of recordings. Trained on the training people, watched on validation people.
     """
@@ -131,25 +154,225 @@ def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRe
         gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, val)
     )
     held = held.evenly(256)
-    features, curve = encoder_training.train_encoder(windows, recipe, held, progress=True)
+    features, curve = train_encoder(windows, recipe, held, progress=True)
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
         "command": f"python -m motionlab train features --steps {recipe.steps} --seed {recipe.seed} --data FOLDER",
         "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
-        "corpus": asdict(corpus.Recipe()), "windows": windows.digest, "torch": torch.__version__,
+        "corpus": asdict(synthetic.Recipe()), "windows": windows.digest, "torch": torch.__version__,
         "share of variance missed, held out": {k: round(v, 4) for k, v in features.reconstruction_error(held).items()},
         "curve": curve,
     }  # fmt: skip
     encoder.save_encoder(out, features, about)
-    return about
+
+
+# ---------------------------------------------------------------------------------------------------- motion features
+class _EncoderRun(TrainingRun):
+    """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
+    foot slides would drown."""
+
+    clip, warm_up, least = math.inf, 0, 0.0
+
+    def __init__(self, recipe: encoder.EncoderRecipe, windows: Windows) -> None:
+        generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
+        network = seeded(recipe.seed, lambda: encoder.Autoencoder(recipe))
+        self.mean, self.scale = _moments(encoder.signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
+        sizes = torch.tensor([*encoder.FEATURE_GROUPS.values()])
+        self.weight = (1 / (sizes * len(sizes))).repeat_interleave(sizes)
+        optimiser = torch.optim.Adam(network.parameters(), recipe.lr)
+        super().__init__(recipe, windows.digest, generator, network, optimiser)
+
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        x = (encoder.signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale
+        return ((self.model(x) - x).square() * self.weight).sum(-1).mean(), {}
+
+    def _ready(self, network: encoder.Autoencoder) -> encoder.MotionEncoder:
+        size = self.recipe.size
+        return encoder.MotionEncoder(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
+
+
+def train_encoder(
+    windows: Windows, recipe: encoder.EncoderRecipe, held: Motion | None = None, *, progress: bool = False
+) -> tuple[encoder.MotionEncoder, list[dict]]:
+    """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
+    if windows.length != recipe.frames:
+        raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
+    every, judge = max(1, recipe.steps // 20), None if held is None else lambda x: x.reconstruction_error(held)
+    run = _EncoderRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
+    made = run.averaged
+    made.network.half().float()  # its weights as they are stored
+    latent = made(windows.draw(2048, run.generator)).float()
+    made = replace(made, centre=latent.mean(0), spread=latent.std(0).clamp(min=1e-3))
+    return made, [{name: round(value, 4) for name, value in row.items()} for row in run.curve]
+
+
+def _moments(x: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean of each column and one deviation per group, of rows (N, T, 94)."""
+    flat = x.flatten(0, 1)
+    mean = flat.mean(0)
+    parts = (flat - mean).split(list(encoder.FEATURE_GROUPS.values()), 1)
+    return mean, torch.cat([part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in parts])
+
+
+# ----------------------------------------------------------------------------------------------------------- pose prior
+def _joints_of(rot: Tensor) -> Tensor:
+    """Joints (..., 22, 3) of the standard body, pelvis in the origin, for local rotations (..., 21, 3, 3)."""
+    still = torch.eye(3).to(rot).expand(*rot.shape[:-3], 1, 3, 3)
+    return fk(STANDARD, rot.new_zeros(*rot.shape[:-3], 3), torch.cat((still, rot), -3))[0]
+
+
+def _objective(model: PosePrior, rot: Tensor, seen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Mean over poses (B, 21, 3, 3) of -log p(pose | z) up to a constant, z drawn from the posterior; and of the KL.
+
+    Errors of rotations are chords |R - R'| / sqrt 2, which for small angles are the angles; only those that were
+    recorded count: seen (B, 21).
+    """
+    posterior = model.encode(rot)
+    found = model.decode(posterior.sample(generator))
+    turn = ((found - rot).square().sum((-2, -1)) * seen).sum(-1) / (2 * 2 * POSE_TURN**2)
+    place = (_joints_of(found) - _joints_of(rot)).square().sum((-2, -1)) / (2 * POSE_PLACE**2)
+    return (turn + place).mean(), _nats(posterior)
+
+
+def _nats(posterior: Gaussian) -> Tensor:
+    """Mean KL divergence from N(0, 1)."""
+    nothing = torch.zeros_like(posterior.mean)
+    return kl(posterior, Gaussian(nothing, nothing)).sum(-1).mean()
+
+
+def _varied_poses(rot: Tensor, seen: Tensor, generator: torch.Generator, odds: float = _SHARE) -> tuple[Tensor, Tensor]:
+    """Poses (B, 21, 3, 3), half of them mirrored, a share of them with each limb from another person; and which joints
+    of them were recorded (B, 21)."""
+    flip = torch.rand(len(rot), 1, 1, 1, generator=generator) < 0.5
+    rot = torch.where(flip, _FLIP[:, None] * rot[:, _PARTNER] * _FLIP, rot)
+    seen = torch.where(flip[:, 0, 0], seen[:, _PARTNER], seen)
+    for limb in _LIMBS:
+        some = torch.nonzero(torch.rand(len(rot), generator=generator) < odds)
+        other = torch.randint(len(rot), some.shape, generator=generator)
+        rot[some, limb], seen[some, limb] = rot[other, limb], seen[other, limb]
+    return rot, seen
+
+
+class _PosePriorRun(TrainingRun):
+    """Trains a pose prior: Adam, its rate falls as a cosine, and KL grows over the first tenth."""
+
+    clip, least = math.inf, 0.0
+
+    def __init__(
+        self, steps: int, batch: int, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator
+    ) -> None:
+        model = seeded(int(torch.randint(2**31, (), generator=generator)), PosePrior)
+        with torch.no_grad():
+            model.out.weight.mul_(0.1)
+            model.out.bias.copy_(rotation.matrix_to_sixd(torch.eye(3)).repeat(21))
+        self.drawn = torch.multinomial(odds, steps * batch, replacement=True, generator=generator).split(batch)
+        self.rot, self.seen = rot, seen
+        recipe = SimpleNamespace(steps=steps, lr=1e-3, average=0.0)  # its weights are the last ones
+        super().__init__(recipe, "", generator, model, torch.optim.Adam(model.parameters(), lr=recipe.lr))
+
+    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        some = self.drawn[self.step]
+        rot, seen = _varied_poses(self.rot[some], self.seen[some], self.generator)
+        miss, divergence = _objective(self.model, rot, seen, self.generator)
+        grown = min(1.0, (self.step + 1) / (0.1 * self.recipe.steps))
+        return miss + grown * divergence, {"miss": miss, "kl": divergence}
+
+
+def train_pose_prior(
+    rot: Tensor, generator: torch.Generator, *, steps: int = 4000, batch: int = 256, weight: Tensor | None = None,
+    seen: Tensor | None = None, progress: bool = True,
+) -> tuple[PosePrior, list[tuple[int, float, float]]]:  # fmt: skip
+    """Trains a pose prior on poses (N, 21, 3, 3).
+
+    weight (N,): how often each pose is drawn, relative to the others. seen (N, 21): False where a rotation was not
+    recorded, and teaches nothing.
+
+    Returns:
+        the frozen model, and (step, reconstruction, KL) a hundred times.
+    Raises:
+        DataError: no poses, or numbers that are not finite.
+    """
+    check_shape(rot, "N 21 3 3", "rot")
+    if len(rot) < 2 or not rot.isfinite().all():
+        raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
+    odds = torch.ones(len(rot)) if weight is None else weight
+    seen = torch.ones(rot.shape[:2], dtype=torch.bool) if seen is None else seen
+    run = _PosePriorRun(steps, batch, rot, seen, odds, generator)
+    run.run(every=max(1, steps // 100), progress=progress)
+    return run.averaged, [(row["step"], row["miss"], row["kl"]) for row in run.curve]
 
 
 @torch.no_grad()
-def _beyond_limits(rot: Tensor) -> dict[str, float]:
-    """Of poses (N, 21, 3, 3) against the anatomical limits: degrees beyond them (mean over poses of the worst joint,
-    and over all joints), and the share of poses in which no angle is more than 5 degrees beyond."""
-    whole = torch.cat((torch.eye(3).to(rot).expand(len(rot), 1, 3, 3), rot), 1)
-    beyond = torch.stack(list(anatomy.excess(STANDARD, whole).values()), -1)
-    worst = beyond.amax(-1)
-    found = {"worst": worst.mean(), "mean": beyond.mean(), "within 5 degrees": (worst <= 5).float().mean()}
-    return {name: float(value) for name, value in found.items()}
+def reconstruction(model: PosePrior, rot: Tensor) -> dict[str, float]:
+    """Computes what poses (N, 21, 3, 3) lose when they are decoded from the posterior's mean.
+
+    Mean error of a rotation in degrees, mean distance of a joint (without the pelvis) in cm, KL in nats, and how many
+    latents say something (variance of the mean > 0.01).
+    """
+    posterior = model.encode(rot)
+    found = model.decode(posterior.mean)
+    away = (_joints_of(found) - _joints_of(rot))[..., 1:, :].norm(dim=-1)
+    return {
+        "degrees": float(torch.rad2deg(rotation.geodesic(found, rot)).mean()),
+        "cm": 100 * float(away.mean()),
+        "kl": float(_nats(posterior)),
+        "active": int((posterior.mean.var(0) > 0.01).sum()),
+    }
+
+
+# -------------------------------------------------------------------------------------------- initial-state mixture
+def fit_mixture(
+    features: Tensor, generator: torch.Generator, *, components: int = _COMPONENTS, ridge: float = MIXTURE_RIDGE,
+) -> tuple[InitGmm, list[float]]:  # fmt: skip
+    """Fits a mixture to features (N, D) by expectation-maximisation, started from k-means++ and a few steps of k-means.
+
+    Returns:
+        the mixture, and the mean log-likelihood (nats) before each of at most 100 steps, until that grows by less than
+        0.01.
+    Raises:
+        DataError: fewer samples than features, or numbers that are not finite.
+    """
+    check_shape(features, "N D", "features")
+    if len(features) <= features.shape[1] or not features.isfinite().all():
+        raise DataError(
+            f"{len(features)} samples of {features.shape[1]} features", remedy="give more frames, all of them finite"
+        )
+    x = features.double()
+    share = torch.nn.functional.one_hot(_clusters(x, components, generator), components).double()
+    history: list[float] = []
+    for _ in range(100):
+        gmm = _maximise(x, share, ridge)
+        joint = gmm.each(x)
+        total = joint.logsumexp(-1)
+        history.append(float(total.mean()))
+        if len(history) > 1 and history[-1] - history[-2] < 1e-2:
+            break
+        share = (joint - total[:, None]).exp()
+    return gmm, history
+
+
+def _maximise(x: Tensor, share: Tensor, ridge: float) -> InitGmm:
+    """The mixture that fits samples x (N, D) best, given to whom (N, K) each belongs."""
+    count = share.sum(0).clamp(min=1e-6)
+    means = (share.mT @ x) / count[:, None]
+    ridge_matrix = ridge * torch.eye(x.shape[1], dtype=x.dtype)
+    covariances = []
+    for k in range(share.shape[1]):  # one component at a time: all at once would need N K D numbers
+        away = (x - means[k]) * (share[:, k, None] / count[k]).sqrt()
+        covariances.append(away.mT @ away + ridge_matrix)
+    return InitGmm(count / count.sum(), means, torch.stack(covariances))
+
+
+def _clusters(x: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Index (N,) of the nearest of ``count`` centres: k-means++ and ten steps of Lloyd's, features at unit spread."""
+    x = (x - x.mean(0)) / x.std(0).clamp(min=1e-3)
+    chosen = x[torch.randint(len(x), (1,), generator=generator)]
+    for _ in range(count - 1):
+        nearest = torch.cdist(x, chosen).amin(-1).square()
+        chosen = torch.cat((chosen, x[torch.multinomial(nearest.float() + 1e-12, 1, generator=generator)]))
+    for _ in range(10):
+        owner = torch.cdist(x, chosen).argmin(-1)
+        member = torch.nn.functional.one_hot(owner, count).double()
+        size = member.sum(0)[:, None]
+        chosen = torch.where(size > 0, member.mT @ x / size.clamp(min=1), chosen)
+    return torch.cdist(x, chosen).argmin(-1)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import torch
 
-from motionlab import baselines, io, subjects
+from motionlab import baselines, io, splits
 from motionlab.animate import filling
 from motionlab.animate.corrections import Rig
 from motionlab.errors import DataError
@@ -38,8 +38,8 @@ def clips(folder: Path, part: str, each: int) -> list[tuple[str, Motion]]:
     """(person, the middle of a clip), at most ``each`` of every person, evenly over the files that are long enough."""
     found: dict[str, list[Motion]] = defaultdict(list)
     for path in sorted(folder.glob("*/*.bvh")):
-        person = subjects.person_of("cmu_library", path.relative_to(folder))
-        if subjects.part_of(person) == part:
+        person = splits.person_of("cmu_library", path.relative_to(folder))
+        if splits.part_of(person) == part:
             found[person].append(path)
     rows = []
     for person, paths in found.items():
@@ -171,7 +171,7 @@ def main() -> None:
         return
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--clips", type=int, default=1, help="of each person")
-    parser.add_argument("--part", choices=subjects.PARTS, default="test")
+    parser.add_argument("--part", choices=splits.PARTS, default="test")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     options = parser.parse_args()

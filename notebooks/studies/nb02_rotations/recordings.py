@@ -11,8 +11,7 @@ from motionlab.io.points import Positions
 from motionlab.io.recordings import recordings
 from motionlab.motion import FPS, resample
 from motionlab.retarget import retarget
-from motionlab.splits import subsample
-from motionlab.subjects import person_of
+from motionlab.splits import person_of, subsample
 
 #: Sources with joint rotations. CMU's people come once: ``cmu_amc`` only adds trials that the library lacks.
 SOURCES = ("cmu_library", "cmu_amc", "bandai_namco", "deepmimic", "reactidle", "animated_drawings")

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from data_synth import scenes
-from motionlab import corpus, splits, subjects
+from motionlab import corpus, splits
 from motionlab.corpus import Take
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
@@ -38,7 +38,7 @@ class Clips:
 
     def described(self) -> str:
         """Returns how many people and clips there are, and how many of the people taught the priors."""
-        taught = sum(who.startswith("cmu") and subjects.part_of(who) == "train" for who in self.names)
+        taught = sum(who.startswith("cmu") and splits.part_of(who) == "train" for who in self.names)
         return f"{len(self.names)} people, {taught} of whom taught the prior, {len(self.whose)} clips"
 
     def of(self, indices: Sequence[int]) -> Clips:

@@ -14,7 +14,7 @@ import torch
 
 from motionlab import checkpoint, files
 from motionlab.diffusion.poses import Poser, PoseRecipe
-from motionlab.training import train_more
+from motionlab.training import courses
 from studies.nb14_handles import people, training, trials
 
 _SMALL = PoseRecipe(size=128, layers=3, steps=3000, batch=128)
@@ -47,7 +47,7 @@ def ways(model: Poser) -> dict[str, trials.Way]:
 def ship(folder: Path) -> None:
     """Trains the model that ships and writes it, with what it is worth on validation people."""
     recipe = PoseRecipe()
-    windows, chosen = train_more.learnt_from(folder, 1)
+    windows, chosen = courses.learnt_from(folder, 1)
     (model,) = training.train([recipe], windows)
     val = people.poses(chosen, EACH)
     tried = {name: trials.tried([way], val, seeded) for name, way in ways(model).items()}
@@ -73,7 +73,7 @@ def record(folder: Path, path: Path, seeds: int) -> None:
     left = [seed for seed in range(seeds) if seed not in {row["seed"] for row in rows}]
     if not left:
         return
-    windows, test = train_more.learnt_from(folder, 1)[0], people.poses(people.takes(folder, "test"), EACH)
+    windows, test = courses.learnt_from(folder, 1)[0], people.poses(people.takes(folder, "test"), EACH)
     for seed in left:
         models = training.train([replace(arm, seed=seed) for arm in ARMS.values()], windows)
         asked = {(arm, how): way for arm, m in zip(ARMS, models, strict=True) for how, way in ways(m).items()}

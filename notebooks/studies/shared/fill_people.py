@@ -20,7 +20,7 @@ from motionlab.corpus import Take
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from motionlab.training.train_more import learnt_from
+from motionlab.training.courses import learnt_from
 
 FRAMES = 60  # of a window
 _SHORT = 8.0  # seconds of a synthetic sequence that count as one recording

@@ -28,8 +28,8 @@ from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.motion import Motion
+from motionlab.training.courses import learnt_from
 from motionlab.training.denoiser_training import DenoiserTraining
-from motionlab.training.train_more import learnt_from
 from studies.shared import small_measures
 
 #: Where rows are kept, from ``notebooks/``.

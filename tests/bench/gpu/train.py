@@ -240,7 +240,7 @@ def run(path: str, plan: str, out: str) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1] == "pack":
-        from motionlab.training.train_more import learnt_from
+        from motionlab.training.courses import learnt_from
 
         pack(learnt_from(sys.argv[2], steps.T)[0], sys.argv[3])
     else:
