@@ -157,7 +157,7 @@ def _data(options: argparse.Namespace) -> int:
 
 def _certify(place: Path, options: argparse.Namespace) -> int:
     """Sends every motion of a folder, or one file, to the 22 standard joints and back; says what that costs."""
-    from motionlab import certificate
+    from motionlab import retarget
     from motionlab.io.recordings import guesses, recordings
     from motionlab.motion import Motion
 
@@ -167,16 +167,16 @@ def _certify(place: Path, options: argparse.Namespace) -> int:
             motion = load(path)
             if isinstance(motion, Motion):  # what holds positions alone has no rig
                 noted[path] = motion.notes
-                found.append(certificate.certify(motions.with_roles(motion, options)))
+                found.append(retarget.certify(motions.with_roles(motion, options)))
         except DataError as error:
             failed.append(error)
-    rows = certificate.by_rig(found)
+    rows = retarget.by_rig(found)
     for guess in guesses(noted.items()):
         say_note(guess)
     shown = [{"first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
               "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
               "holds": "yes" if row.holds else "NO"} for row in rows]  # fmt: skip
-    most = f"at most {100 * certificate.PLACE:g} cm, {certificate.ANGLE:g} degrees"
+    most = f"at most {100 * retarget.PLACE:g} cm, {retarget.ANGLE:g} degrees"
     print(f"{text_table(shown)}\nthere and back, at the 95th percentile: {most}")
     for error in failed:
         print(f"not certified: {error}", file=sys.stderr)

@@ -16,7 +16,7 @@ FLOORS = """
     baselines cleaning contact heading humanml ik observation rest skinning tailoring
     data_synth diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
         metrics retarget viz
-    certificate corpus diffusion.completer diffusion.denoising diffusion.model
+    corpus diffusion.completer diffusion.denoising diffusion.model
         diffusion.windows humor.cvae splits
     diffusion.inpainting diffusion.poses humor.energies humor.priors humor.transition
     bench humor.compiled humor.evidence humor.pretrained

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +14,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import DataError
 from motionlab.io.judging import UNITS
-from motionlab.io.reading import Location, floats, frame_rate, read_text, reading
+from motionlab.io.reading import Location, floats, frame_rate, read_text, reading, text_lines
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
@@ -26,12 +28,12 @@ class _Bone:
     """One bone as the file gives it: unit direction, length in file units, axis frame, degrees of freedom, the bones
     at its end; of the root also where it stands."""
 
-    direction: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    direction: Sequence[float] = (0.0, 0.0, 0.0)
     length: float = 0.0
-    axis: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    axis: Sequence[float] = (0.0, 0.0, 0.0)
     axis_order: str = "XYZ"
-    dof: list[str] = field(default_factory=list)
-    position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    dof: Sequence[str] = ()
+    position: Sequence[float] = (0.0, 0.0, 0.0)
     children: list[str] = field(default_factory=list)
 
 
@@ -88,10 +90,9 @@ def load_beside(
         names = [path for path in amc.parent.iterdir() if path.suffix.lower() == ".asf"]
         fits = [path for path in names if amc.stem.lower().startswith(path.stem.lower())]
         if not fits:
+            what, path = "no skeleton file that is called as the .amc begins", f"{amc.stem.split('_')[0]}.asf"
             remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
-            missing = amc.with_name(f"{amc.stem.split('_')[0]}.asf")
-            what = "no skeleton file that is called as the .amc begins"
-            raise DataError(what, path=missing, remedy=remedy, place=amc.name)
+            raise DataError(what, path=amc.with_name(path), remedy=remedy, place=amc.name)
         asf = max(fits, key=lambda path: len(path.stem))
     return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS[unit] if unit in UNITS else unit)
 
@@ -101,7 +102,7 @@ def _turn(bone: _Bone, values: np.ndarray, degrees: bool, axis_degrees: bool) ->
     turning = [k for k, dof in enumerate(bone.dof) if dof[0] == "r"][::-1]
     angles = torch.from_numpy(values[:, turning] * (np.pi / 180 if degrees else 1.0))
     turn = rotation.euler_to_matrix(angles, "".join(bone.dof[k][1] for k in turning).upper())
-    axis = torch.tensor(bone.axis[::-1], dtype=torch.float64)
+    axis = torch.tensor(bone.axis, dtype=torch.float64).flip(0)
     frame = rotation.euler_to_matrix(torch.deg2rad(axis) if axis_degrees else axis, bone.axis_order[::-1])
     return frame @ turn @ frame.mT
 
@@ -123,122 +124,97 @@ def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
 
 def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
     """The bones by name, "root" first, the unit of length, and whether angles are degrees."""
-    sections: dict[str, list[tuple[int, list[str]]]] = {}  # lines as words under their :keyword, with line numbers
-    current = None
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].split()
-        if words and words[0].startswith(":"):
-            current = sections.setdefault(words[0][1:].lower(), [])
-            words = words[1:]
-        if words and current is not None:
-            current.append((number, words))
-    missing = [key for key in ("units", "root", "bonedata", "hierarchy") if not sections.get(key)]
-    if missing:
+    bones = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}
+    units, placed, said, section, bone, name = {}, {"root"}, set(), "", None, ""
+    for key, *words in map(str.split, text_lines(at, re.sub("#.*", "", text))):
+        if key[0] == ":":
+            section, (key, *words) = key[1:].lower(), words or [""]
+        said |= {section} if key else set()
+        if section == "units":
+            units[key.lower()] = words
+        elif section == "root":
+            _tell(at, bones["root"], key, words)
+        elif section == "hierarchy" and key not in ("", "begin", "end"):
+            _hang(at, bones, placed, key, words)
+        elif section == "bonedata" and key:
+            if bone is None and key != "begin":
+                raise at.error(f"expected begin, got {key!r}")
+            if key == "begin":
+                if bone is not None:
+                    raise at.error("begin inside a bone that has no end")
+                bone, name = _Bone(), ""
+            elif key == "end":
+                if not name or name in bones:
+                    raise at.error(f"a second bone named {name!r}" if name else "a bone without a name")
+                bones[name], bone = bone, None
+            elif key == "name":
+                name = " ".join(words)
+            else:
+                _tell(at, bone, key, words)
+    if missing := [key for key in ("units", "root", "bonedata", "hierarchy") if key not in said]:
         raise at.error(f"no section :{', :'.join(missing)}: truncated, or no ASF")
-    units = {words[0].lower(): words[1:] for _, words in sections["units"]}
+    if lost := [name for name in bones if name not in placed]:
+        raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
     at.place = "section :units"
     (length,) = floats(at, units.get("length", []), 1).tolist()
     if not 1e-6 < length < 1e6 or units.get("angle") not in (["deg"], ["rad"]):
         raise at.error("expected 'length' above zero (1e-6 to 1e6) and 'angle deg' or 'angle rad'")
-    bones = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}
-    for number, (key, *words) in sections["root"]:
-        at.place = f"line {number}"
-        if key in ("order", "axis", "position", "orientation"):
-            _tell(at, bones["root"], "root axis" if key == "axis" else key, words)
-    bones |= _bones(at, sections["bonedata"])
-    _hierarchy(at, sections["hierarchy"], bones)
     at.place = ""
     return bones, length, units["angle"] == ["deg"]
 
 
 def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
-    """Takes what a line says of a bone or of the root."""
-    if key == "direction":
-        bone.direction = floats(at, words, 3).tolist()
-    elif key == "position":
-        bone.position = floats(at, words, 3).tolist()
+    """Takes what a line says of a bone or of the root, which moves and has the numbers of its axis elsewhere."""
+    if key in ("direction", "position"):
+        setattr(bone, key, floats(at, words, 3).tolist())
     elif key == "orientation":
         bone.axis = floats(at, words, 3).tolist()
     elif key == "length":
         (bone.length,) = floats(at, words, 1).tolist()
-    elif key in ("axis", "root axis"):
-        if key == "axis":
+    elif key == "axis":
+        if "tx" not in bone.dof:
             bone.axis, words = floats(at, words[:3], 3).tolist(), words[3:]
         bone.axis_order = "".join(words).upper()
         if sorted(bone.axis_order) != ["X", "Y", "Z"]:
             raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
     elif key in ("dof", "order"):
+        free = [f"{kind}{axis}" for kind in ("tr" if key == "order" else "r") for axis in "xyz"]
         bone.dof = [word.lower() for word in words]
-        if key == "order" and sorted(bone.dof) != ["rx", "ry", "rz", "tx", "ty", "tz"]:
-            raise at.error(f"order must name TX TY TZ RX RY RZ once each, got {' '.join(words)}")
-        if key == "dof" and (not set(bone.dof) <= {"rx", "ry", "rz"} or len(set(bone.dof)) != len(bone.dof)):
-            raise at.error(f"degrees of freedom must be different ones of rx ry rz, got {' '.join(words)}")
+        if not {*bone.dof} <= {*free} or len(bone.dof) != len(free if key == "order" else {*bone.dof}):
+            which = "each" if key == "order" else "some"
+            raise at.error(f"{key} must name {which} of {' '.join(free)} once, got {' '.join(words)}")
 
 
-def _bones(at: Location, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
-    bones: dict[str, _Bone] = {}
-    bone, name = None, ""
-    for number, (key, *words) in lines:
-        at.place = f"line {number}"
-        if key == "begin":
-            if bone is not None:
-                raise at.error("begin inside a bone that has no end")
-            bone, name = _Bone(), ""
-        elif bone is None:
-            raise at.error(f"expected begin, got {key!r}")
-        elif key == "end":
-            if not name or name in bones or name == "root":
-                raise at.error(f"a second bone named {name!r}" if name else "a bone without a name")
-            bones[name], bone = bone, None
-        elif key == "name":
-            name = " ".join(words)
-        elif key in ("direction", "length", "axis", "dof"):
-            _tell(at, bone, key, words)
-    if bone is not None:
-        raise at.error(f"bone {name} has no end: the file is truncated")
-    return bones
-
-
-def _hierarchy(at: Location, lines: list[tuple[int, list[str]]], bones: dict[str, _Bone]) -> None:
-    placed = {"root"}
-    for number, words in lines:
-        at.place = f"line {number}"
-        if words in (["begin"], ["end"]):
-            continue
-        parent, *below = words
-        for name in words:
-            if name not in bones:
-                raise at.error(f"bone {name!r} is not in :bonedata")
-        if parent not in placed:
-            raise at.error(f"{parent} has children before it has a parent")
-        for name in below:
-            if name in placed:
-                raise at.error(f"{name} has two parents")
-            placed.add(name)
-            bones[parent].children.append(name)
-    lost = [name for name in bones if name not in placed]
-    if lost:
-        raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
+def _hang(at: Location, bones: dict[str, _Bone], placed: set[str], parent: str, below: list[str]) -> None:
+    """Takes a line of the hierarchy: the bones below one that is placed already."""
+    for name in (parent, *below):
+        if name not in bones:
+            raise at.error(f"bone {name!r} is not in :bonedata")
+    if parent not in placed:
+        raise at.error(f"{parent} has children before it has a parent")
+    for name in below:
+        if name in placed:
+            raise at.error(f"{name} has two parents")
+        placed.add(name)
+        bones[parent].children.append(name)
 
 
 def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) -> tuple[bool, dict[str, np.ndarray]]:
     """Whether angles are degrees, and the values (T, D) of every bone that has degrees of freedom."""
     widths = {name: len(bone.dof) for name, bone in bones.items() if bone.dof}
-    frames, lines = [], []
-    for number, line in enumerate(text.splitlines(), start=1):
-        at.place, words = f"line {number}", line.split()
-        if not words or words[0][0] == "#":
-            continue
-        name, *values = words
+    frames, places = [], []
+    for name, *values in map(str.split, text_lines(at, text)):
         if name[0] == ":":
             degrees = {":DEGREES": True, ":RADIANS": False}.get(name.upper(), degrees)
         elif not values and name.isdigit():
             if int(name) != len(frames) + 1:
                 raise at.error(f"frame {name} follows frame {len(frames)}")
             frames.append({})
-            lines.append(number)
+            places.append(at.place)
+        elif name[0] == "#":
+            continue
         elif not frames:
-            raise at.error(f"expected frame number 1, got {line.strip()[:40]!r}")
+            raise at.error(f"expected frame number 1, got {name[:40]!r}")
         elif name in frames[-1]:
             raise at.error(f"{name} twice in one frame")
         elif len(values) != widths.get(name):
@@ -246,10 +222,9 @@ def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) 
         else:
             frames[-1][name] = values
     if not frames:
-        raise at.error("no frames: truncated, or no AMC", place="")
+        raise at.error("no frames: truncated, or no AMC")
     rows = []
-    for frame, number in zip(frames, lines, strict=True):
-        at.place = f"line {number}"
+    for frame, at.place in zip(frames, places, strict=True):
         if missing := [name for name in widths if name not in frame]:
             raise at.error(f"frame without {', '.join(missing)}: truncated")
         rows.append(floats(at, [value for name in widths for value in frame[name]], sum(widths.values())))

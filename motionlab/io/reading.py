@@ -96,6 +96,15 @@ def read_text(at: Location) -> str:
     return text
 
 
+def text_lines(at: Location, text: str) -> Iterator[str]:
+    """Yields the lines that are not blank, stripped; ``at.place`` is there, and behind the last at the whole file."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        at.place = f"line {number}"
+        if line := line.strip():
+            yield line
+    at.place = ""
+
+
 def read_json(at: Location, *, nan: bool = False) -> object:
     """Reads the whole file as JSON. NaN and Infinity, which JSON does not have, are refused; ``nan`` lets NaN pass,
     where it stands for what was not measured."""
