@@ -128,6 +128,8 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
     units, placed, said, section, bone, name = {}, {"root"}, set(), "", None, ""
     for key, *words in map(str.split, text_lines(at, re.sub("#.*", "", text))):
         if key[0] == ":":
+            if bone is not None:
+                raise at.error(f"bone {name} has no end: the file is truncated")
             section, (key, *words) = key[1:].lower(), words or [""]
         said |= {section} if key else set()
         if section == "units":
@@ -182,7 +184,7 @@ def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
         bone.dof = [word.lower() for word in words]
         if not {*bone.dof} <= {*free} or len(bone.dof) != len(free if key == "order" else {*bone.dof}):
             which = "each" if key == "order" else "some"
-            raise at.error(f"{key} must name {which} of {' '.join(free)} once, got {' '.join(words)}")
+            raise at.error(f"degrees of freedom must be {which} of {' '.join(free)}, once, got {' '.join(words)}")
 
 
 def _hang(at: Location, bones: dict[str, _Bone], placed: set[str], parent: str, below: list[str]) -> None:

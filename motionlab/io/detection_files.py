@@ -111,25 +111,22 @@ def _csv(at: Location, rows: list[tuple[int, list[str]]]) -> Detections:
         if len(row) != len(head):
             raise at.error(f"expected {len(head)} cells, got {len(row)}", place=f"line {line}")
     order, fps = _clock(at, head, rows, frame_at, time_at)
-    people: dict[tuple, tuple[int | None, dict]] = {}
+    seen: dict[int, dict[object, tuple[dict, int | None]]] = {}
     for frame, (line, row) in zip(order, rows, strict=True):
         at.place = f"line {line}"
         who = tuple(row[k] for k in (id_at, person_at) if k is not None) if long else line
-        name, body = people.setdefault((frame, who), (None if id_at is None else whole_number(row[id_at]), {}))
+        new = {}, None if id_at is None else whole_number(row[id_at])
+        body, _ = seen.setdefault(frame, {}).setdefault(who, new)
         for key, places in points:
-            body[row[name_at] if long else key] = tuple(
-                _cell(at, row[k]) if k is not None and row[k] else None for k in places
-            )
-    seen: dict[int, list] = {}
-    for (frame, _), (name, body) in people.items():
-        seen.setdefault(frame, []).append((body, name))
-    return detections.collect_named(at, "CSV table", [*seen.items()], fps=fps)
+            cells = (row[k] if k is not None else "" for k in places)
+            body[row[name_at] if long else key] = tuple(_cell(at, cell) if cell else None for cell in cells)
+    frames = [(frame, [*people.values()]) for frame, people in seen.items()]
+    return detections.collect_named(at, "CSV table", frames, fps=fps)
 
 
 def _wide_points(at: Location, title: list[str]) -> list[tuple[str, list[int | None]]]:
     """Name and columns (x, y, confidence) of every point of a header such as X_NOSE, Y_NOSE or nose_x, nose_y."""
-    found: list[tuple[str, list]] = []
-    latest: dict[str, list] = {}
+    found, latest = [], {}
     for k, cell in enumerate(title):
         first = re.fullmatch(rf"({_AXIS})[_. ]?(\d+)|({_AXIS})[_. ](.+)", cell, re.IGNORECASE)
         last = re.fullmatch(rf"(.+)[_. ]({_AXIS})", cell, re.IGNORECASE)
@@ -156,12 +153,10 @@ def _clock(
     at: Location, head: list[str], rows: list[tuple[int, list[str]]], frame_at: int | None, time_at: int | None
 ) -> tuple[list[int], float | None]:
     """The frame number of every row, by its own or by its time; and the frame rate by the times, s or ms."""
-    order: list[int] = []
-    for n, (line, row) in enumerate(rows):
-        number = n if frame_at is None else whole_number(row[frame_at])
-        if number is None:
-            raise at.error(f"{row[frame_at][:40]!r} is no frame number", place=f"line {line}")
-        order.append(number)
+    order = [n if frame_at is None else whole_number(row[frame_at]) for n, (_, row) in enumerate(rows)]
+    if None in order:
+        line, row = rows[order.index(None)]
+        raise at.error(f"{row[frame_at][:40]!r} is no frame number", place=f"line {line}")
     if time_at is None:
         return order, None
     at.place = head[time_at]
@@ -173,7 +168,7 @@ def _clock(
     if frame_at is None:
         at_frame = np.round((moments - moments[0]) / step)
         rising = at_frame[-1] < detections.MOST_FRAMES and (np.diff(at_frame) > 0).all()
-        order = (at_frame if rising else np.arange(len(moments))).astype(int)[where].tolist()
+        order = (at_frame.astype(int) if rising else np.arange(len(moments)))[where].tolist()
     return order, frame_rate(at, (1000 if step >= 1 else 1) / step)  # nobody films at a frame per second
 
 
@@ -196,9 +191,8 @@ def from_trc(at: Location, text: str) -> Detections:
 
 
 def from_npz(at: Location) -> Detections:
-    """Reads the plain layout that ``keypoints`` describes; an array that is pickled is never opened."""
-    keys = ("keypoints", "positions_2d", "confidence", "scores", "names", "fps", "size", "ids")  # the second is pickled
-    arrays = read_npz(at, keys)
+    """Reads the plain layout that ``keypoints`` describes; one that is pickled, as positions_2d, is never opened."""
+    arrays = read_npz(at, ("keypoints", "positions_2d", "confidence", "scores", "names", "fps", "size", "ids"))
     if "keypoints" not in arrays:
         remedy = f"unpack it, if it is a folder's archive, and name the folder; else {PLAIN}"
         raise at.error("the key keypoints is missing", place="keys", remedy=remedy)
@@ -210,15 +204,13 @@ def from_npz(at: Location) -> Detections:
         raise at.error(f"expected x, y and confidence, got {axes} numbers a point", place="keypoints")
     scores = points[..., 2] if axes == 3 else np.full(lead, np.nan)
     if key := next((key for key in ("confidence", "scores") if key in arrays), None):
-        shape = " ".join(str(n) for n in array.shape[:-1])
-        scores = pixels(at, arrays[key], shape, key).reshape(lead)
+        scores = pixels(at, arrays[key], " ".join(map(str, array.shape[:-1])), key).reshape(lead)
     points = np.concatenate([points[..., :2], scores[..., None]], -1)
-    ids: list[int | None] = [None] * lead[1]
-    if "ids" in arrays:
-        ids = [whole_number(number) for number in checked_array(at, arrays["ids"], str(lead[1]), "ids").tolist()]
+    ids = checked_array(at, arrays["ids"], str(lead[1]), "ids") if "ids" in arrays else np.full(lead[1], -1)
+    ids = [whole_number(number) for number in ids.tolist()]
     names = point_names(at, [str(name) for name in arrays.get("names", np.zeros(0)).ravel()[: lead[2] + 1]])
     frames = enumerate(zip(people, ids, strict=True) for people in points)
-    return detections.collect(at, "plain npz", frames, tuple, names=names, **detections.stated(at, arrays))
+    return detections.collect(at, "plain npz", frames, tuple, names=names, **stated(at, arrays))
 
 
 def from_json(at: Location, document: object) -> Detections:
@@ -241,7 +233,7 @@ def from_json(at: Location, document: object) -> Detections:
             marked.setdefault(called[entry["image_id"]], []).extend([entry] * ("keypoints" in entry))
         found = _of_images(at, {name: marked.get(name, []) for name in called.values()}, alphapose=False)
         points = next((kind["keypoints"] for kind in document.get("categories", []) if "keypoints" in kind), None)
-        found.names, found.size = detections.point_names(at, points), stated(at, document["images"][0])["size"]
+        found.names, found.size = point_names(at, points), stated(at, document["images"][0])["size"]
         return found
     if {"image_id", "keypoints"} <= keys and item is not document:
         images: dict[object, list] = {}
@@ -265,11 +257,9 @@ def _person(at: Location, one: object, about: str = "", *, needed: bool = False)
 
     No points, or an empty list, is somebody who was not found. needed: the key of the points has to be there.
     """
-    key = next((key for key in _POINTS if key in one), _POINTS[0]) if isinstance(one, dict) else _POINTS[0]
-    if not isinstance(one, dict):
-        raise at.error(f'expected an object with "{key}"')
-    if needed and key not in one:
-        raise at.error('expected "keypoints" of every person')
+    if not isinstance(one, dict) or (needed and not {*_POINTS} & one.keys()):
+        raise at.error(f'expected an object with "{_POINTS[-1 if needed else 0]}" of every person')
+    key = next((key for key in _POINTS if key in one), _POINTS[0])
     values, points = one.get(key), np.zeros((0, 3))
     if isinstance(values, dict):  # Ultralytics
         xy = pixels(at, [values.get("x"), values.get("y")], "2 K").T
@@ -303,8 +293,7 @@ def _openpose(at: Location, document: object) -> Detections:
 def _mmpose(at: Location, document: dict | list) -> Detections:
     meta = document.get("meta_info") or {} if isinstance(document, dict) else {}
     frames = document["instance_info"] if "instance_info" in document else document
-    if isinstance(frames, dict):
-        frames = [frames]
+    frames = [frames] if isinstance(frames, dict) else frames
     if not any("instances" in frame for frame in frames):
         frames = [{"instances": frames}]  # one image
     numbers = [whole_number(frame.get("frame_id", n)) for n, frame in enumerate(frames)]
@@ -313,9 +302,8 @@ def _mmpose(at: Location, document: dict | list) -> Detections:
         raise at.error(f"frame_id {frames[n]['frame_id']!r} is no frame number", place=f"frame {n}")
     people = zip(numbers, (frame["instances"] for frame in frames), strict=True)
     read = partial(_person, at, about=f" (data set {meta.get('dataset_name', 'not named')})", needed=True)
-    return detections.collect(
-        at, "MMPose", people, read, names=detections.point_names(at, meta.get("keypoint_id2name")), lowest=_MMPOSE
-    )
+    names = point_names(at, meta.get("keypoint_id2name"))
+    return detections.collect(at, "MMPose", people, read, names=names, lowest=_MMPOSE)
 
 
 def _of_images(at: Location, images: dict[object, Iterable], *, alphapose: bool) -> Detections:
@@ -343,7 +331,7 @@ def _vitpose(at: Location, document: dict) -> Detections:
 
     frames = document["keypoints"]
     people = (frame.items() if isinstance(frame, dict) else [(None, one) for one in frame] for frame in frames)
-    names = detections.point_names(at, document["skeleton"])
+    names = point_names(at, document["skeleton"])
     return detections.collect(at, "ViTPose", enumerate(people), read, names=names, lowest=_VITPOSE)
 
 
@@ -365,7 +353,7 @@ def _is_body(value: object) -> bool:
     """Whether a list is one person's points, not people or frames."""
     one = value[0] if isinstance(value, list) and value else None
     if isinstance(one, dict):
-        return "x" in one and not isinstance(one["x"], dict | list)
+        return not isinstance(one.get("x", []), dict | list)
     return isinstance(one, list) and len(one) in (2, 3, 4) and all(isinstance(x, int | float) for x in one)
 
 

@@ -24,10 +24,11 @@ COCO_18 = tuple(name for name in BODY_25[:19] if name != "mid_hip")
 #: Other words for a point, once it is written in small letters with "_" between words.
 _SAME = {"hip": "mid_hip", "pelvis": "mid_hip", "root": "mid_hip", "head": "head_top", "top_head": "head_top"}
 _SIDE = r"^([lr])_?(?=eye|ear|shoulder|elbow|wrist|hip|knee|ankle|big|small|heel|foot)"
-#: Where BODY_25 finds a point that a layout lacks: the same place under another name.
-_INSTEAD = {"left_big_toe": "left_foot_index", "right_big_toe": "right_foot_index"}
-#: No pixel, no share of an image and no score lies beyond.
-FARTHEST = 1e6
+#: Where BODY_25 finds a point that a layout lacks: in the same place under another name, or in the middle of two.
+_INSTEAD = {
+    "left_big_toe": ["left_foot_index"], "right_big_toe": ["right_foot_index"],
+    "neck": ["left_shoulder", "right_shoulder"], "mid_hip": ["left_hip", "right_hip"],
+}  # fmt: skip
 #: What to save instead of what cannot be read.
 PLAIN = "save it with numpy.savez(path, keypoints=(frames, people, joints, 3), names=joints, fps=fps)"
 #: Words for one thing, as keys of JSON and as columns of tables.
@@ -109,11 +110,9 @@ def _detect_layout(people: np.ndarray) -> str | None:
         return next((layout for layout, names in LAYOUTS.items() if len(names) == people.shape[1]), None)
     seen = people[..., 2] > 0
     distance = np.where(seen, np.linalg.norm(people[..., :2] - people[:, :1, :2], axis=-1), np.nan)
-    votes = []
-    for face, other in ((slice(1, 5), slice(15, 19)), (slice(15, 19), slice(1, 5))):
-        both = seen[:, 0] & (seen[:, face].sum(-1) >= 2) & (seen[:, other].sum(-1) >= 2)
-        votes.append(int((np.nanmean(distance[both, face], -1) < np.nanmean(distance[both, other], -1)).sum()))
-    return None if votes[0] == votes[1] else ("BODY_25B" if votes[0] > votes[1] else "BODY_25")
+    both = seen[:, 0] & (seen[:, 1:5].sum(-1) >= 2) & (seen[:, 15:19].sum(-1) >= 2)
+    votes = np.sign(np.nanmean(distance[both, 15:19], -1) - np.nanmean(distance[both, 1:5], -1)).sum()
+    return None if votes == 0 else ("BODY_25B" if votes > 0 else "BODY_25")
 
 
 def to_body_25(observation: Observation2D) -> Observation2D:
@@ -125,16 +124,13 @@ def to_body_25(observation: Observation2D) -> Observation2D:
     lead = observation.confidence.shape[:-1]
     keypoints = observation.keypoints.new_zeros(*lead, len(BODY_25), 2)
     confidence = observation.confidence.new_zeros(*lead, len(BODY_25))
-    middles = {"neck": "shoulder", "mid_hip": "hip"}
     for k, name in enumerate(BODY_25):
-        middle = [f"{side}_{middles.get(name)}" for side in ("left", "right")]
-        sources = next((s for s in ([name], [_INSTEAD.get(name)], middle) if set(s) <= set(observation.names)), [])
-        if not sources:
-            continue
-        pair = [observation.index(source) for source in sources]
-        confidence[..., k] = observation.confidence[..., pair].amin(-1)
-        mean = observation.keypoints[..., pair, :].mean(-2)
-        keypoints[..., k, :] = torch.where(confidence[..., k, None] > 0, mean, 0.0)
+        choices = ([name], _INSTEAD.get(name, [name]))
+        if sources := next((each for each in choices if {*each} <= {*observation.names}), None):
+            pair = [observation.index(source) for source in sources]
+            confidence[..., k] = observation.confidence[..., pair].amin(-1)
+            mean = observation.keypoints[..., pair, :].mean(-2)
+            keypoints[..., k, :] = torch.where(confidence[..., k, None] > 0, mean, 0.0)
     return Observation2D(keypoints, confidence, BODY_25, observation.fps, observation.camera, observation.name)
 
 
@@ -193,11 +189,10 @@ def _series(at: Location, suffix: str) -> dict[int, Path] | None:
     series: dict[str, dict[int, Path]] = {}
     for file in sorted(at.path.glob(f"*{suffix}")):
         stem = re.sub(r"_(jpe?g|png)\.rf\.[0-9a-f]+$", "", file.stem)  # Roboflow's
-        found = re.search(r"(\d{1,19})(?:_keypoints)?$", stem)
-        if found is not None:
-            files = series.setdefault(stem[: found.start()], {})
-            if files.setdefault(int(found[1]), file) is not file:
-                raise at.error(f"{files[int(found[1])].name} has the same frame number", place=file.name)
+        if found := re.fullmatch(r"(.*?)(\d{1,19})(?:_keypoints)?", stem):
+            same = series.setdefault(found[1], {}).setdefault(int(found[2]), file)
+            if same is not file:
+                raise at.error(f"{same.name} has the same frame number", place=file.name)
     ranked = sorted(series.values(), key=len, reverse=True)
     if len(ranked) > 1 and len(ranked[0]) == len(ranked[1]):
         raise at.error(f"several series of frames: {', '.join(sorted(series))}", remedy="one folder per camera")
@@ -227,9 +222,10 @@ def collect(
             raise at.error("people have different numbers of keypoints")
         if max(counts, default=0) > _MOST_POINTS:
             raise at.error(f"{max(counts)} keypoints of one person")
-        shown = [points if len(points) else np.zeros((*counts, 3)) for points, _ in seen] if counts else []
-        found.frames[number] = np.stack(shown) if shown else _NOBODY
-        found.ids[number] = [name for _, name in seen] if shown else []
+        found.frames[number], found.ids[number] = _NOBODY, []
+        if counts:
+            found.frames[number] = np.stack([points if len(points) else np.zeros((*counts, 3)) for points, _ in seen])
+            found.ids[number] = [name for _, name in seen]
     return found
 
 
@@ -264,8 +260,8 @@ def collect_named(
 
 
 def pixels(at: Location, values: object, shape: str, place: str | None = None) -> np.ndarray:
-    """Checks coordinates or scores, of which any may be NaN; see ``reading.checked_array``."""
-    return checked_array(at, values, shape, place, FARTHEST, nan=True)
+    """Checks coordinates or scores, none beyond a million, of which any may be NaN; see ``reading.checked_array``."""
+    return checked_array(at, values, shape, place, 1e6, nan=True)
 
 
 def whole_number(value: object) -> int | None:
@@ -306,10 +302,8 @@ def point_names(at: Location, value: object) -> tuple[str, ...] | None:
 def stated(at: Location, *places: object) -> dict:
     """Reads frame rate and image size where one of some objects states them."""
     known = {key: value for place in places if isinstance(place, dict) for key, value in place.items()}
-    fps = first_of(known, ("fps", "frame_rate", "framerate"))
-    size = first_of(known, ("size", "image_size"))
-    if size is None:
-        pairs = ([known.get(f"{kind}{side}") for side in ("width", "height")] for kind in ("", "image_", "canvas_"))
-        size = next((pair for pair in pairs if None not in pair), None)
+    fps, size = first_of(known, ("fps", "frame_rate", "framerate")), first_of(known, ("size", "image_size"))
+    pairs = ([known.get(f"{kind}{side}") for side in ("width", "height")] for kind in ("", "image_", "canvas_"))
+    size = next((pair for pair in pairs if None not in pair), None) if size is None else size
     rate = fps if fps is None else frame_rate(at, fps, "fps")
     return {"fps": rate, "size": size if size is None else image_size(at, size)}

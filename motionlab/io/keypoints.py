@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -28,10 +27,8 @@ from motionlab.io import tracking, video
 from motionlab.io.detection_files import from_json, from_lines, from_npz, from_trc
 from motionlab.io.detections import MOST_FRAMES, NOBODY, PLAIN, Detections, from_folder, names_of
 from motionlab.io.reading import LARGEST, Location, frame_rate, image_size, read_json, read_text, reading
+from motionlab.io.video import Video
 from motionlab.observation import Observation2D
-
-if TYPE_CHECKING:
-    from motionlab.io.video import Video
 
 #: Scores to this are ones that ran over; beyond they are of another scale.
 _OVER = 1.2
@@ -83,12 +80,11 @@ class Footage:
 
     def table(self) -> list[dict[str, object]]:
         """Lists the people: a row each, with frames seen, their share, mean confidence of what was seen, height."""
-        rows = []
-        for track in self.tracks:
-            count, sure = len(track.frames), track.points[..., 2]
-            row = {"person": track.id, "frames": count, "share %": 100 * count / self.frames}
-            rows.append(row | {"confidence": float(sure[sure > 0].mean()), "height px": track.height})
-        return rows
+        return [
+            {"person": track.id, "frames": len(track.frames), "share %": 100 * len(track.frames) / self.frames,
+             "confidence": float(track.points[..., 2][track.points[..., 2] > 0].mean()), "height px": track.height}
+            for track in self.tracks
+        ]  # fmt: skip
 
     def chosen(self, which: str | int | Sequence[str | int]) -> list[Person]:
         """Returns who is meant: "longest" seen, "largest" in the image, "all" who are there for a second, or ids.
@@ -148,21 +144,17 @@ class Footage:
         Some detectors put there what they take to be outside: then many lie on the same border to the digit.
         """
         points = np.concatenate([track.points.reshape(-1, 3) for track in self.tracks])
-        points, borders = points[points[:, 2] > 0], []
-        for axis in (0, 1):
-            for place in (0.0, size[axis] - 1.0, float(size[axis])):
-                if (np.abs(points[:, axis] - place) < _ON).sum() >= max(_REPEATED, _PUT * len(points)):
-                    borders.append((axis, place))
+        points = points[points[:, 2] > 0]
+        borders = [(axis, place) for axis in (0, 1) for place in (0.0, size[axis] - 1.0, float(size[axis]))
+                   if (np.abs(points[:, axis] - place) < _ON).sum() >= max(_REPEATED, _PUT * len(points))]  # fmt: skip
         if not borders:
             return self, []
 
         def outside(points: np.ndarray) -> np.ndarray:
             return np.any([np.abs(points[..., axis] - place) < _ON for axis, place in borders], 0)
 
-        tracks = [
-            replace(track, points=np.where(outside(track.points)[..., None], np.float32(0), track.points))
-            for track in self.tracks
-        ]
+        inside = (np.where(outside(each.points)[..., None], np.float32(0), each.points) for each in self.tracks)
+        tracks = [replace(track, points=points) for track, points in zip(self.tracks, inside, strict=True)]
         said = "of the points lie on the very border of the image: they were outside, left out"
         return self.of(tracks), [f"{outside(points).mean():.1%} {said}"]
 
@@ -258,11 +250,10 @@ def _in_order(
     first, last = order[0], order[-1]
     if last - first >= MOST_FRAMES:
         raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
-    counts = {n: frames[n].shape[1] for n in order if len(frames[n])}
-    count = next(iter(counts.values()), 0)
-    if other := next((n for n in counts if counts[n] != count), None):
-        message = f"expected {count} keypoints as in the frames before, got {counts[other]}"
-        raise at.error(message, place=f"frame {other}")
+    count, *others = [(frames[n].shape[1], n) for n in order if len(frames[n])] or [(0, 0)]
+    if other := next((each for each in others if each[0] != count[0]), None):
+        message = f"expected {count[0]} keypoints as in the frames before, got {other[0]}"
+        raise at.error(message, place=f"frame {other[1]}")
     rate = fps or told or (film and film.fps)
     if rate is None:
         raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
@@ -348,8 +339,7 @@ def _some(ids: Sequence[int]) -> str:
 def load_person(
     folder: str | Path, *, fps: float, layout: str | None = None, person: str | int = "longest", gap: float = 0.5
 ) -> Observation2D:
-    """Reads one person's keypoints through time, in pixels, as :func:`load`; but every point
-    counts, however unsure.
+    """Reads one person's keypoints through time, in pixels, as :func:`load`; but every point counts, however unsure.
 
     Args:
         person: "longest" (seen in most frames), "largest" (tallest in the image), or an id.
