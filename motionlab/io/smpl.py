@@ -66,19 +66,17 @@ def _body(at: Location, raw: dict[str, np.ndarray], betas: int) -> BodyModel:
     faces = checked_array(at, raw["f"], "F 3", "f")
     if faces.min() < 0 or faces.max() >= vertices or (faces != faces.round()).any():
         raise at.error(f"expected indices of {vertices} vertices, found {faces.min()} to {faces.max()}", place="f")
-    folded = np.zeros((vertices, count))
-    for joint in range(len(parents)):
-        owner = joint
-        while owner >= count:
-            owner = parents[owner]
-        folded[:, owner] += weights[:, joint]
+    folded, owners = np.zeros((vertices, count)), [*range(count)]
+    for joint, parent in enumerate(parents):
+        owners += [owners[parent]] if joint >= count else []
+        folded[:, owners[joint]] += weights[:, joint]
     joints = regressor[:count] @ template
     directions = np.einsum("jv,vcb->jcb", regressor[:count], shape)
     offsets = joints - np.vstack((joints[:1], joints[list(STANDARD.parents[1:])]))
-    posed = raw.get("posedirs")
-    if posed is not None:
-        posed = checked_array(at, posed, f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")[..., : 9 * (count - 1)]
-        posed = torch.from_numpy(posed).float()
+    posed = None
+    if "posedirs" in raw:
+        posed = checked_array(at, raw["posedirs"], f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")
+        posed = torch.from_numpy(posed[..., : 9 * (count - 1)]).float()
     notes = [f"{at.path.name}: {vertices} vertices, {len(parents)} joints, {shape.shape[-1]} betas"]
     if len(parents) > count:
         notes.append(f"weights of joints {count} to {len(parents) - 1} folded into the wrists and the head")
@@ -104,9 +102,8 @@ def _parents(at: Location, table: np.ndarray) -> list[int]:
     """The tree as parent indices; it must begin with the 22 joints of the body."""
     table = checked_array(at, table, "2 J", "kintree_table")
     parents = [-1, *table[0, 1:].astype(int).tolist()]  # the root's own entry is -1 or 2**32 - 1
-    for joint, parent in enumerate(parents[1:], start=1):
-        if not 0 <= parent < joint:
-            raise at.error(f"joint {joint} has parent {parent}", place="kintree_table")
+    if wrong := [joint for joint, parent in enumerate(parents) if joint and not 0 <= parent < joint]:
+        raise at.error(f"joint {wrong[0]} has parent {parents[wrong[0]]}", place="kintree_table")
     if tuple(parents[: len(STANDARD)]) != STANDARD.parents:
         raise at.error("does not begin with the tree of SMPL's 22 body joints", place="kintree_table")
     return parents
