@@ -115,8 +115,6 @@ def load_foreign(path: Path | str, key: str, remedy: str) -> dict[str, Tensor]:
     """
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise DataError("there is no such file", path=path, remedy=remedy) from error
     except Exception as error:  # torch names no type for a file that is none of its own
         message = f"not a file of plain tensors ({type(error).__name__})"
         raise DataError(message, path=path, remedy=f"{remedy}; or save its state_dict alone with torch.save") from error

@@ -68,10 +68,7 @@ def source_hash(source: str) -> str:
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            node.body = [part for part in node.body if not _silent(part)] or [ast.Pass()]
+            told = [part for part in node.body if not isinstance(part, ast.Import | ast.ImportFrom)]
+            texts = [part for part in told if isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant)]
+            node.body = [part for part in told if part not in texts] or [ast.Pass()]
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:8]
-
-
-def _silent(node: ast.stmt) -> bool:
-    documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    return documentation or isinstance(node, ast.Import | ast.ImportFrom)

@@ -38,9 +38,16 @@ _CHAINS = ((0, 2, 5, 8, 11), (0, 1, 4, 7, 10), (0, 3, 6, 9, 12, 15), (9, 14, 17,
 
 def features(joints: Tensor) -> Tensor:
     """Computes the 263 numbers (T - 1, 263) of joints (T, 22, 3) that begin as :func:`begun` puts them."""
+    from scipy.ndimage import gaussian_filter1d
+
     check_shape(joints, f"T {JOINTS} 3", "joints")
     joints = joints.double()
-    root, step, turn = joints[:, 0], joints[1:] - joints[:-1], _facing(joints)
+    root, step = joints[:, 0], joints[1:] - joints[:-1]
+    across = torch.nn.functional.normalize(joints[:, 1] - joints[:, 2] + joints[:, 17] - joints[:, 16], dim=-1)
+    forward = torch.linalg.cross(torch.tensor([[0.0, 1.0, 0.0]]).double(), across, dim=-1).numpy()
+    forward = gaussian_filter1d(forward, 20.0, axis=0, mode="nearest")
+    turn = torch.from_numpy(-np.arctan2(forward[:, 0], forward[:, 2]))  # to face +z, but for the first frame
+    turn[0] = 0
     face = rotation.rotation_about("y", turn)
     moved = (face[1:] @ step[:, 0, :, None])[..., 0]
     level = joints - root[:, None] * torch.tensor([1.0, 0.0, 1.0])
@@ -125,15 +132,3 @@ def save(path: str | Path, motion: Motion, *, as_features: bool = False) -> None
     stream = io.BytesIO()
     np.save(stream, (features(joints) if as_features else joints).float().numpy())
     write_whole(path, stream.getvalue())
-
-
-def _facing(joints: Tensor) -> Tensor:
-    """By how much to turn about y (T,), radians, to face +z; 0 in the first frame."""
-    from scipy.ndimage import gaussian_filter1d
-
-    across = torch.nn.functional.normalize(joints[:, 1] - joints[:, 2] + joints[:, 17] - joints[:, 16], dim=-1)
-    forward = torch.linalg.cross(torch.tensor([[0.0, 1.0, 0.0]]).double(), across, dim=-1).numpy()
-    forward = gaussian_filter1d(forward, 20.0, axis=0, mode="nearest")
-    turn = torch.from_numpy(-np.arctan2(forward[:, 0], forward[:, 2]))
-    turn[0] = 0
-    return turn

@@ -99,10 +99,8 @@ def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: flo
     """A pose (J, 3, 3) in any axes, seen in the body's own, which are read off it: up and left are axes of the file
     where they nearly are, left by a cosine of ``near``."""
     rest = skeleton.rest_positions(pose)
-    hips = rest[joints["left_hip"]], rest[joints["right_hip"]]
-    left = hips[0] - hips[1]
-    ankles = rest[joints["left_ankle"]] + rest[joints["right_ankle"]]
-    up = sum(hips) / 2 - ankles / 2
+    hips, ankles = ([rest[joints[f"{side}_{part}"]] for side in ("left", "right")] for part in ("hip", "ankle"))
+    left, up = hips[0] - hips[1], sum(hips) / 2 - sum(ankles) / 2
     if torch.linalg.cross(left, up).norm() < 1e-3 * left.norm() * up.norm() or not left.norm() > 0:
         return None
     axes = []

@@ -48,23 +48,16 @@ def match_joints(motion: Motion) -> Match:
     """
     motion = motion.to(torch.float64)
     joints = find_joints(motion.skeleton, motion.name)
+    guessed = [name for name in guessed_joints(motion.skeleton, joints) if name in BALLS]
     for source, rest_rot, rest in rest_poses(motion, joints):
-        behind = [n for n in guessed_joints(motion.skeleton, joints) if n in BALLS and not _ahead(rest, joints, n)]
-        return Match({n: j for n, j in joints.items() if n not in behind}, source, rest_rot, rest)
+        for name in guessed:  # what no name says may be the heel: a ball of the foot lies ahead of its ankle
+            bone = rest[joints[name]] - rest[joints[name.replace("foot", "ankle")]]
+            joints = joints if bone[2] > 0.5 * bone.norm() else {n: j for n, j in joints.items() if n != name}
+        return Match(joints, source, rest_rot, rest)
     told = ", ".join(f"{name} = {motion.skeleton.names[j]}" for name, j in joints.items())
-    raise DataError(
-        f"no pose is found in which the figure stands, its left on the left and its toes in front, if {told}",
-        path=motion.name,
-        place="rest pose",
-        remedy="say what is what by names=, on the command line --names FILE.json; or export with a T-pose as the rest "
-        "pose or as the first frame",
-    )
-
-
-def _ahead(rest: Tensor, joints: dict[str, int], ball: str) -> bool:
-    """Whether a ball of the foot lies ahead of its ankle, not below: what no name says may be the heel."""
-    bone = rest[joints[ball]] - rest[joints[ball.replace("foot", "ankle")]]
-    return bool(bone[2] > 0.5 * bone.norm())
+    message = f"no pose is found in which the figure stands, its left on the left and its toes in front, if {told}"
+    remedy = "say what is what by names=, on the command line --names FILE.json; or export with a T-pose as the rest "
+    raise DataError(message, path=motion.name, place="rest pose", remedy=f"{remedy}pose or as the first frame")
 
 
 # ---------------------------------------------------------------------------------------------------- transfer
@@ -144,7 +137,8 @@ def retarget(
         raise DataError("legs of no length", path=motion.name, place="rest pose", remedy="check the offsets")
     scale = leg / length if leg else 1.0
     standing = (proportions if isinstance(proportions, Skeleton) else STANDARD).to(torch.float64)
-    standing = standing.scaled(scale * length / _leg_length_of(standing))
+    bones = standing.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG[1:]])
+    standing = standing.scaled(scale * length / (float(standing.offsets[bones].norm(dim=-1).sum()) / 2))
     correction = _corrections(body)
     positions, world = source.world
     where = {name: scale * positions[:, j] for name, j in body.joints.items()}
@@ -296,11 +290,6 @@ def _planted(target: Motion, where: dict[str, Tensor]) -> Tensor:
 def _leg_length(body: Match) -> float:
     ways = [[body.rest[body.joints[f"{side}_{part}"]] for part in _LEG] for side in ("left", "right")]
     return sum(float((k - h).norm() + (a - k).norm()) for h, k, a in ways) / 2
-
-
-def _leg_length_of(skeleton: Skeleton) -> float:
-    bones = skeleton.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG[1:]])
-    return float(skeleton.offsets[bones].norm(dim=-1).sum()) / 2
 
 
 def _corrections(body: Match) -> Tensor:

@@ -114,8 +114,7 @@ def _turns(at: Location, arrays: dict[str, np.ndarray]) -> np.ndarray:
     turns = np.concatenate(turns, axis=1)
     angles = np.linalg.norm(turns, axis=-1)
     if angles.any() and np.quantile(angles[angles > 0], 0.75) > 2 * np.pi:
-        message = f"angles of {np.median(angles[angles > 0]):.3g} on the whole: these are degrees"
-        raise at.error(message, place=", ".join(keys), remedy="convert them to radians (numpy.deg2rad)")
+        raise at.error("these are degrees", place=", ".join(keys), remedy="convert them to radians (numpy.deg2rad)")
     if turns.shape[1] < BODY:
         raise at.error(f"expected {3 * BODY} columns or more, got {3 * turns.shape[1]}", place=keys[-1])
     return turns
@@ -127,8 +126,7 @@ def _axis_angles(at: Location, array: np.ndarray, key: str) -> np.ndarray:
     array = checked_array(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, 1e4)
     if array.shape[-2:] != (3, 3) or (array.ndim == 3 and key not in ROOT):
         if array[0].size % 3 or array[0].size // 3 in _DOUBLE:
-            message = f"expected 3 columns for each joint, got {array.shape}"
-            raise at.error(message, place=key, remedy="convert quaternions or 6-D rotations to axis-angle")
+            raise at.error(f"expected axis-angle, got {array.shape}", place=key, remedy="convert quaternions or 6-D")
         return array.reshape(len(array), -1, 3)
     matrix = torch.from_numpy(array.reshape(len(array), -1, 3, 3))
     if not (matrix.mT @ matrix - torch.eye(3)).abs().max() < 0.1 or not (torch.linalg.det(matrix) > 0).all():

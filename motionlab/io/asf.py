@@ -18,9 +18,7 @@ from motionlab.io.reading import Location, floats, frame_rate, read_text, readin
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
-#: CMU's recordings are at 120 frames per second; the files do not say so.
-_CMU_FPS = 120.0
-_INCH = 0.0254
+_CMU_FPS = 120.0  # of CMU's recordings; the files do not say so
 
 
 @dataclass
@@ -57,7 +55,7 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
     with reading(asf, "take the .asf of the subject again") as at:
         bones, length, asf_degrees = _parse_asf(at, read_text(at))
         if unit is None:
-            unit = _INCH / length
+            unit = UNITS["inch"] / length
             notes.append(f"the file names no unit: taken as 1/{length:g} inch = {unit:.5f} m, as CMU does")
         skeleton = _skeleton(bones, unit)
     with reading(amc, "take the .amc of the take again, with the .asf of the same subject") as at:

@@ -254,8 +254,7 @@ def _motion(at: Location, lines: Iterator[str], width: int, fps: float | None) -
         places.append(at.place)
     frames, frame_time = header
     if fps is None and not 0 < frame_time < np.inf:
-        remedy = f"write seconds per frame, or {judging.SAY_RATE}"
-        raise at.error(f"the frame time must be above zero, got {frame_time}", remedy=remedy)
+        raise at.error(f"the frame time must be above zero, got {frame_time}", remedy=judging.SAY_RATE)
     fps = frame_rate(at, _rate(at, frame_time, line) if fps is None else fps, remedy=judging.SAY_RATE)
     if frames < 1 or not width:
         raise at.error("no frames" if width else "no channels", place=places[0], remedy="export at least one frame")
@@ -274,12 +273,11 @@ def _motion(at: Location, lines: Iterator[str], width: int, fps: float | None) -
 
 def _rate(at: Location, frame_time: float, line: str) -> float:
     """Frames per second: the whole number that the printed digits can mean (0.033333 is 30), else 1 / time."""
-    digits = len(line.strip().partition(".")[2])
+    digits = len(line.partition(".")[2])
     if frame_time > 2:
-        fps, what = frame_time, "a rate"
-        if frame_time not in RATES:  # 16.67 is 60 a second, and so is 17
-            near = (rate for rate in RATES if abs(1000 / rate - frame_time) < 10.0**-digits)
-            fps, what = next(near, 1000 / frame_time), "milliseconds"
+        near = (rate for rate in RATES if abs(1000 / rate - frame_time) < 10.0**-digits)  # 16.67 ms is 60 a second
+        fps, what = next(near, 1000 / frame_time), "milliseconds"
+        fps, what = (frame_time, "a rate") if frame_time in RATES else (fps, what)
         taken = f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second"
         at.notes.append(f"{taken}: give the right one with fps=, or --fps-in")
         return fps

@@ -128,15 +128,13 @@ def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None 
         raise at.error(f"expected a rotation matrix, got {turn.tolist()}", place=where + "rotation")
     lens = checked_array(at, [*np.ravel(table.get("distortion", ())), 0.0], "N", where + "distortion").tolist()[:-1]
     if len(lens) not in (0, 1, 2, 4, 5, 8, 12, 14) or any(lens[8:]):
-        message = f"{len(lens)} coefficients of a lens"
-        raise at.error(message, place=where + "distortion", remedy="give k1, k2, p1, p2, k3")
+        raise at.error(f"{len(lens)} coefficients", place=where + "distortion", remedy="give k1, k2, p1, p2, k3")
     at.place = where + "intrinsics"
     _check_pixels(at, k, width, height)
     tensors = (torch.from_numpy(each).float() for each in (k, turn, shift))
     camera = Camera(*tensors, width, height, tuple(lens[:8]) if any(lens) else ())
     if placed and (far := float(camera.centre.norm())) > _FAR:
-        message = f"the camera stands {far:.4g} m from the origin"
-        raise at.error(message, place=where + "translation", remedy="give the translation in metres")
+        raise at.error(f"stands {far:.4g} m from the origin", place=where + "translation", remedy="give it in metres")
     return camera, placed
 
 
@@ -146,8 +144,7 @@ def _check_pixels(at: Location, k: np.ndarray, width: int, height: int) -> None:
     if not (fx > 0 and fy > 0):
         raise at.error("expected a positive focal length and image size")
     if not _FOCAL[0] * max(width, height) < min(fx, fy) <= max(fx, fy) < _FOCAL[1] * max(width, height):
-        message = f"focal lengths of {fx:g} and {fy:g} pixels for an image of {width} x {height}"
-        raise at.error(message, remedy="give them in pixels: not in mm, nor as shares of the image's size")
+        raise at.error(f"focal lengths {fx:g} and {fy:g} for {width} x {height} pixels", remedy="give them in pixels")
     if abs(skew) > 1e-3 * fx or abs(k[2, 2] - 1) > 1e-6 or np.abs(k[[1, 2, 2], [0, 0, 1]]).max() > 1e-6:
         raise at.error("expected rows fx 0 cx, 0 fy cy, 0 0 1", remedy="pixels that are skewed are not modelled")
     off, turned = (max(abs(cx / w - 0.5), abs(cy / h - 0.5)) for w, h in ((width, height), (height, width)))
@@ -344,8 +341,7 @@ def _colmap(at: Location) -> dict[str, Table]:
             continue
         model, (width, height, *values) = words[1], (float(word) for word in words[2:])
         if model not in _COLMAP:
-            remedy = f"undistort the images; known are {', '.join(_COLMAP)}"
-            raise at.error(f"a lens by COLMAP's {model}", remedy=remedy)
+            raise at.error(f"a lens by COLMAP's {model}", remedy="undistort the images (colmap image_undistorter)")
         focal, lens = _COLMAP[model]
         if len(values) != focal + 2 + lens:
             raise at.error(f"{len(values)} parameters of {model}, expected {focal + 2 + lens}")

@@ -124,6 +124,5 @@ def _rotations(at: Location, quaternions: np.ndarray, names: tuple[str, ...], of
     length = np.linalg.norm(quaternions, axis=-1)
     if len(bad := np.argwhere(np.abs(length - 1) > off)):
         frame, joint = bad[0]
-        message = f"quaternion of length {length[frame, joint]:.3g}, expected 1"
-        raise at.error(message, place=f"frame {frame}, {names[joint]}")
+        raise at.error(f"quaternion of length {length[frame, joint]:.3g}", place=f"frame {frame}, {names[joint]}")
     return rotation.quaternion_to_matrix(torch.from_numpy(quaternions / length[..., None]))

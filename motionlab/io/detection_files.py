@@ -52,8 +52,7 @@ def _yolo(at: Location, lines: list[tuple[int, str]]) -> Detections:
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
         points = next((points for points in choices if _in_box(points, values[1:5])), None)
         if points is None:
-            message = f"{len(words)} words are no class, box and keypoints of a person in it"
-            raise at.error(message, remedy="save the labels of a pose model (save_txt)")
+            raise at.error("no class, box and keypoints in it", remedy="save the labels of a pose model (save_txt)")
         more = words[5 + points.size :]
         tracked = len(more) == 2 or bool(more and whole_number(more[0]))  # one number: a confidence, or an id from 1
         scores = points[:, 2] if points.shape[1] == 3 else None
@@ -172,8 +171,7 @@ def from_trc(at: Location, text: str) -> Detections:
         raise at.error(f"{len(rows)} frames, by number, of {head['NumFrames']}", place="frames")
     known = np.abs(points[np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)])
     if (known[:, 2] > 0).any() or (len(known) and np.median(known[:, :2]) < _METRES):
-        remedy = "give the file in pixels (Sports2D: ..._px_person00.trc)"
-        raise at.error("3-D points, or metres, where a fit needs pixels", place="coordinates", remedy=remedy)
+        raise at.error("3-D points, or metres", place="coordinates", remedy="give the 2-D file in pixels (..._px_...)")
     points[..., 2] = math.nan  # no confidences
     frames = ((number, [(here, None)]) for number, here in zip(order, points, strict=True))
     return detections.collect(at, "Sports2D", frames, tuple, names=point_names(at, [*names]), fps=fps, notes=at.notes)
@@ -256,8 +254,7 @@ def _person(at: Location, one: object, about: str = "", *, needed: bool = False)
     elif isinstance(values, list) and values and isinstance(values[0], list):  # MMPose
         xy = pixels(at, values, "K D")
         if xy.shape[1] != 2:
-            message = f"{xy.shape[1]} coordinates a point{about}: 3-D poses, where a fit needs pixels"
-            raise at.error(message, remedy="give the 2-D detector's file")
+            raise at.error(f"{xy.shape[1]} coordinates a point{about}: 3-D", remedy="give the 2-D detector's file")
         points = detections.with_scores(at, xy, one.get("keypoint_scores"))
     elif values is not None or key == "keypoints":
         if not isinstance(values, list) or len(values) % 3:
@@ -354,8 +351,7 @@ def _bodies(at: Location, value: object) -> list[tuple[dict | list, int | None]]
             mine = whole_number(first_of(value, detections.ID))
             return [(body, mine if name is None else name) for body, name in _bodies(at, inner)]
         if first_of(value, _WORLD) is not None:
-            message = "world landmarks alone: 3-D, in metres about the hips, where a fit needs pixels"
-            raise at.error(message, remedy="save the image landmarks (pose_landmarks)")
+            raise at.error("world landmarks alone, in metres", remedy="save the image landmarks (pose_landmarks)")
         return [(value, None)] if value else []
     if _is_body(value):
         return [(value, None)]

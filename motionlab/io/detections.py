@@ -19,8 +19,6 @@ from motionlab.errors import DataError
 from motionlab.io.reading import Location, checked_array, frame_rate, image_size, reading
 from motionlab.observation import BODY_25, Observation2D
 
-#: OpenPose's COCO model: BODY_25 without mid-hip and feet.
-COCO_18 = tuple(name for name in BODY_25[:19] if name != "mid_hip")
 #: Other words for a point, once it is written in small letters with "_" between words.
 _SAME = {"hip": "mid_hip", "pelvis": "mid_hip", "root": "mid_hip", "head": "head_top", "top_head": "head_top"}
 _SIDE = r"^([lr])_?(?=eye|ear|shoulder|elbow|wrist|hip|knee|ankle|big|small|heel|foot)"
@@ -29,15 +27,12 @@ _INSTEAD = {
     "left_big_toe": ["left_foot_index"], "right_big_toe": ["right_foot_index"],
     "neck": ["left_shoulder", "right_shoulder"], "mid_hip": ["left_hip", "right_hip"],
 }  # fmt: skip
-#: What to save instead of what cannot be read.
 PLAIN = "save it with numpy.savez(path, keypoints=(frames, people, joints, 3), names=joints, fps=fps)"
 #: Words for one thing, as keys of JSON and as columns of tables.
 SCORES = ("score", "confidence", "visibility", "visible", "conf", "likelihood", "c", "v")
 FRAME = ("frame", "frame_id", "frame_number", "frame_idx", "frame_index")
 ID = ("id", "track_id", "person_id", "track")
-#: Frame numbers that span more than this are taken for a mistake; so are more points of a person than this.
-MOST_FRAMES = 200_000
-_MOST_POINTS = 200
+MOST_FRAMES, _MOST_POINTS = 200_000, 200  # frame numbers that span more, and more points of a person, are a mistake
 _FORMATS = "OpenPose, MMPose, AlphaPose, COCO results, Ultralytics, MediaPipe, MoveNet, ViTPose, Sports2D and CSV"
 _MEDIAPIPE = 0.5  # from this score on it draws a point
 _NOBODY = np.zeros((0, 0, 3))
@@ -46,10 +41,6 @@ Sighting = tuple[np.ndarray, "int | None"]  # points (K, 3): x, y, confidence; t
 
 def _pairs(*parts: str) -> list[str]:
     return [f"{side}_{part}" for part in parts for side in ("left", "right")]
-
-
-def _row(part: str, numbers: range) -> list[str]:
-    return [f"{part}_{n}" for n in numbers]
 
 
 #: COCO's 17 points, in COCO's order.
@@ -64,17 +55,16 @@ MEDIAPIPE_33 = (
     "left_ear", "right_ear", "mouth_left", "mouth_right", *_pairs("shoulder", "elbow", "wrist"),
     *_pairs("pinky", "index", "thumb"), *_pairs("hip", "knee", "ankle", "heel", "foot_index"),
 )  # fmt: skip
-_HANDS = [name for side in ("left", "right") for name in _row(f"{side}_hand", range(21))]
-#: COCO-WholeBody: COCO's points, the feet, 68 of the face, 21 of each hand.
-WHOLEBODY_133 = (*COCO_17, *BODY_25[19:], *_row("face", range(68)), *_HANDS)
-#: OpenPose's whole body: BODY_25B, 20 of each hand (the wrist is the body's), 70 of the face.
-BODY_135 = (*BODY_25B, *(name for name in _HANDS if not name.endswith("_0")), *_row("face", range(70)))
-#: Halpe's full body: its body, 68 of the face, 21 of each hand.
-HALPE_136 = (*HALPE_26, *_row("face", range(68)), *_HANDS)
+_FACE = [f"face_{n}" for n in range(70)]
+_HANDS = [f"{side}_hand_{n}" for side in ("left", "right") for n in range(21)]
 #: By name and number of points. Points without names are those of the first layout with as many.
 LAYOUTS = {
-    "BODY_25": BODY_25, "BODY_25B": BODY_25B, "COCO_18": COCO_18, "COCO_17": COCO_17, "HALPE_26": HALPE_26,
-    "MEDIAPIPE_33": MEDIAPIPE_33, "WHOLEBODY_133": WHOLEBODY_133, "BODY_135": BODY_135, "HALPE_136": HALPE_136,
+    "BODY_25": BODY_25, "BODY_25B": BODY_25B, "COCO_17": COCO_17, "HALPE_26": HALPE_26, "MEDIAPIPE_33": MEDIAPIPE_33,
+    "COCO_18": tuple(name for name in BODY_25[:19] if name != "mid_hip"),  # OpenPose's COCO model
+    "WHOLEBODY_133": (*COCO_17, *BODY_25[19:], *_FACE[:68], *_HANDS),  # COCO-WholeBody
+    # OpenPose's whole body, whose wrists are not of its hands; Halpe's full body
+    "BODY_135": (*BODY_25B, *(name for name in _HANDS if not name.endswith("_0")), *_FACE),
+    "HALPE_136": (*HALPE_26, *_FACE[:68], *_HANDS),
 }  # fmt: skip
 
 

@@ -94,8 +94,7 @@ def _chunks(at: Location) -> tuple[dict, bytes]:
     text, chunk = (data, b"") if data.lstrip()[:1] == b"{" else _of_glb(at, data)
     content, blob, starts = json.loads(text.decode()), b"", []
     if packed := [name for name in content.get("extensionsRequired", ()) if name.endswith("meshopt_compression")]:
-        remedy = "unpack it (gltf-transform copy), or export it again uncompressed"
-        raise at.error(f"its numbers are packed, by {packed[0]}", place="extensionsRequired", remedy=remedy)
+        raise at.error(f"packed by {packed[0]}", place="extensionsRequired", remedy="unpack it (gltf-transform copy)")
     for buffer in content.get("buffers", ()):
         starts.append(len(blob))
         part = _named(at, buffer["uri"]) if "uri" in buffer else chunk
@@ -131,8 +130,7 @@ def _named(at: Location, uri: str) -> bytes:
     folder = at.path.parent.resolve()
     path = (folder / unquote(uri)).resolve()
     if not path.is_relative_to(folder) or not path.is_file():
-        remedy = "put that file beside it or below, or export it as one binary file, .glb"
-        raise at.error(f"its numbers lie in another file, {uri[:40]}", place="buffers", remedy=remedy)
+        raise at.error(f"its numbers lie in another file, {uri[:40]}", place="buffers", remedy="put it beside or below")
     return read_bytes(replace(at, path=path))
 
 
@@ -148,8 +146,7 @@ def _array(at: Location, content: dict, blob: bytes, index: int, width: int, pla
     count, stride = accessor["count"], view.get("byteStride", size * width)
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
     if min(start, count - 1, stride - size * width) < 0 or start + (count - 1) * stride + size * width > len(blob):
-        what = f"{count} values of {stride} bytes from byte {start}"
-        raise at.error(f"{what} do not lie in {len(blob)} bytes", place=place)
+        raise at.error(f"{count} values from byte {start} do not lie in {len(blob)} bytes", place=place)
     rows = checked_array(at, np.ndarray((count, width), kind, blob, start, (stride, size)), f"T {width}", place)
     return np.maximum(rows / largest, -1) if normal else rows
 
@@ -175,13 +172,6 @@ class _Figure:
     name: str
 
 
-def _names(nodes: list[dict], joints: list[int]) -> dict[int, str]:
-    """A name for each joint: its node's, with its number where there is none or two share it."""
-    names = {joint: str(nodes[joint].get("name") or "joint") for joint in joints}
-    seen = Counter(names.values())
-    return {k: x if seen[x] == 1 and nodes[k].get("name") else f"{x}{k}" for k, x in names.items()}
-
-
 def _figure(
     at: Location, content: dict, blob: bytes, person: int, animation: str | int | None, fps: float | None
 ) -> _Figure:
@@ -197,7 +187,9 @@ def _figure(
     channels = [(c["target"]["node"], c["target"]["path"], chosen["samplers"][c["sampler"]])
                 for c in chosen["channels"] if c["target"]["path"] in _REST and "node" in c["target"]]  # fmt: skip
     joints, chains = _tree(at, parent, skin.get("joints") or sorted({node for node, _, _ in channels}), nodes)
-    names = _names(nodes, joints)
+    names = [str(nodes[joint].get("name") or "joint") for joint in joints]
+    seen = Counter(names)  # a node's number goes with its name where it has none or shares it
+    names = [x if seen[x] == 1 and nodes[k].get("name") else f"{x}{k}" for k, x in zip(joints, names, strict=True)]
     used = {node for joint in joints for node in chains[joint]}
     tracks = {
         (node, what): (sampler, *_keys(at, content, blob, sampler, what, f"node {node} {what}"))
@@ -229,7 +221,7 @@ def _figure(
     places, turns, sizes, parents = zip(*(below(chains[joint]) for joint in joints), strict=True)
     place, rot, sizes = torch.stack(places, dim=1), torch.stack(turns, dim=1), torch.stack(sizes)
     skeleton = Skeleton(
-        names=tuple(names[joint] for joint in joints),
+        names=tuple(names),
         parents=parents,
         offsets=place[0] * torch.tensor([0.0] + [1.0] * (len(joints) - 1))[:, None],
         contact_names=tuple(extras.get("contact_names", ())),

@@ -26,7 +26,6 @@ _TRIED, _PERSON, _FIGURE, ASSUMED = ("m", "cm", "mm", "inch", "ft", "dm"), (1.2,
 #: A person's longest chain of bones, foot to hand, over the height: the size of a figure in any pose; and thigh and
 #: shin over the height. Where the two sizes differ by more than ``_PROP``, the chain holds more than a body.
 CHAIN, _LEG, _PROP = 1.4, 0.47, 0.35
-#: The remedies for a frame rate and an axis.
 SAY_RATE, _SAY_UP = "say it with fps=, or --fps-in", "say it with up=, or --up"
 #: The file's axes that become the world's x, y, z, by the one that points up. Who faces +z in a y-up file faces +y.
 AXES = {"y": "-xzy", "z": "xyz", "x": "yzx", "-y": "xz-y", "-z": "x-y-z", "-x": "zy-x"}
@@ -41,8 +40,7 @@ Unit, Axes = str | float | None, str | None
 Figure = TypeVar("Figure")  # a Motion, or points.Positions
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
 SAME, RIGID = 0.002, 0.02
-#: The figure goes on in the child that holds so much of all that is below.
-_TRUNK = 0.8
+_TRUNK = 0.8  # the figure goes on in the child that holds so much of all that is below
 
 
 def axes_to_matrix(axes: str) -> Tensor:
@@ -111,7 +109,11 @@ def to_world(
     head, feet = _found(_HEAD, names) or _found(_NECK, names), _found(_FEET, names)
     if skeleton is not None:  # the ankles alone: who has no foot above
         feet = [j for j in feet if skeleton.parents[j] not in feet]
-    points, notes = _sampled(figure), [*figure.notes]
+    step, notes = max(figure.frames // 20, 1), [*figure.notes]
+    if skeleton is None:  # some 20 frames (S, J, 3), NaN where not measured
+        points = torch.where(figure.valid[::step, :, None], figure.positions[::step].double(), torch.nan)
+    else:
+        points = figure.cut(step=step).to(torch.float64).positions
     if not 5 <= figure.fps <= 1000:
         notes.append(f"{figure.fps:.4g} frames per second is no usual rate: give the right one with fps=, or --fps-in")
     if axes is None and up is None:
@@ -149,14 +151,6 @@ def _turned(figure: Figure, scale: float, axes: str) -> Figure:
     if skeleton.offsets.dtype != torch.float32 or scale != 1:
         skeleton = replace(skeleton, offsets=skeleton.offsets * scale).to(torch.float32)
     return replace(figure, skeleton=skeleton, root=root.float(), rot=rot.float())
-
-
-def _sampled(figure: Figure) -> Tensor:
-    """Some 20 frames of points (S, J, 3), float64; NaN where not measured."""
-    step = max(figure.frames // 20, 1)
-    if isinstance(figure, Motion):
-        return figure.cut(step=step).to(torch.float64).positions
-    return torch.where(figure.valid[::step, :, None], figure.positions[::step].double(), torch.nan)
 
 
 def _found(words: re.Pattern, names: list[str]) -> list[int]:

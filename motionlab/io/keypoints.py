@@ -30,8 +30,7 @@ from motionlab.io.reading import LARGEST, Location, frame_rate, image_size, read
 from motionlab.io.video import Video
 from motionlab.observation import Observation2D
 
-#: Scores to this are ones that ran over; beyond they are of another scale.
-_OVER = 1.2
+_OVER = 1.2  # scores to this are ones that ran over; beyond they are of another scale
 #: Coordinates of which half stay below this are shares of the image; of which so many are negative, no place in it.
 _SHARE, _NEGATIVE = 2.0, 0.25
 #: Points lie on the border of the image within so many pixels; and were put there where that many, and this share of
@@ -251,8 +250,7 @@ def _in_order(
         raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
     count, *others = [(frames[n].shape[1], n) for n in order if len(frames[n])] or [(0, 0)]
     if other := next((each for each in others if each[0] != count[0]), None):
-        message = f"expected {count[0]} keypoints as in the frames before, got {other[0]}"
-        raise at.error(message, place=f"frame {other[1]}")
+        raise at.error(f"expected {count[0]} keypoints, got {other[0]}", place=f"frame {other[1]}")
     rate = fps or told or (film and film.fps)
     if rate is None:
         raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
@@ -290,12 +288,10 @@ def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | Non
         people[unsure] = 0
     seen = score > 0
     if seen.any() and (xy[seen] < 0).mean() > _NEGATIVE:
-        message = "coordinates around zero are no place in an image, but 3-D (world landmarks in metres) or centred"
-        raise at.error(message, place="coordinates", remedy="save the image's landmarks, in pixels or from 0 to 1")
+        raise at.error("around zero: 3-D, or centred", place="coordinates", remedy="save the landmarks in pixels")
     if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
         if size is None:
-            message = "coordinates are shares of an image whose size the file does not hold"
-            raise at.error(message, place="size", remedy="pass size=(width, height), or --size")
+            raise at.error("shares of an unknown size", place="size", remedy="pass size=(width, height), or --size")
         xy *= size
         notes.append(f"coordinates are shares of the image: multiplied by its size, {size[0]:g} x {size[1]:g}")
     return notes

@@ -85,8 +85,7 @@ def _record(name: str) -> type[_Record]:
     return type("Record", (_Record,), {"name": name.rpartition(".")[2]})
 
 
-#: Modules of Python 2 by the name that they have now.
-_MOVED = {"__builtin__": "builtins", "copy_reg": "copyreg"}
+_MOVED = {"__builtin__": "builtins", "copy_reg": "copyreg"}  # modules of Python 2, by their names now
 #: What is built of a name: containers, bytes, and records of numpy's arrays, torch's tensors and joblib's arrays, which
 #: lie in the file behind their records.
 _BUILT = {

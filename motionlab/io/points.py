@@ -161,8 +161,7 @@ def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observati
         head, *rows = [line.split(",") for line in read_text(at).splitlines() if line.strip()]
         names = tuple(name.strip() for name in head[1::2] if name.strip())
         if not rows or not head[0].startswith("Timestamps") or not names or len({*names}) < len(names):
-            what = 'expected "Timestamps [ms]", different joint names in every second column, and a frame or more below'
-            raise at.error(what, place="line 1")
+            raise at.error('expected "Timestamps [ms]", different names in every second column, frames', place="line 1")
         width = 1 + 2 * len(names)
         pixels = _table(at, [row[1:width] for row in rows], width - 1, 2).unflatten(-1, (-1, 2)) * camera.width
         inside = ((pixels >= 0) & (pixels < torch.tensor([camera.width, camera.height]))).all(-1)
@@ -198,8 +197,13 @@ def load_trc(
     with reading(path, "export the table again as a TRC file") as at:
         head, names, rows = trc_table(at, read_text(at))
         rate = frame_rate(at, float(head["DataRate"]) if fps is None else fps, "line 3, DataRate", judging.SAY_RATE)
-        if fps is None:
-            _doubt_rate(at, rows[:, 1], rate)
+        steps = np.diff(rows[:, 1])  # tables without times say nothing
+        usual = np.median(steps) if len(steps) and fps is None else 0.0
+        if usual > 0 and abs(usual * rate - 1) > 0.02:
+            said = f"its times are of {1 / usual:.4g} frames per second, not of {rate:g}, which is taken"
+            at.notes.append(f"{said}: {judging.SAY_RATE}")
+        if usual > 0 and (jumps := int(((steps > 1.6 * usual) | (steps <= 0)).sum())):
+            at.notes.append(f"frames are missing, or doubled: its times jump {jumps} times")
         points = rows[:, 2:].reshape(len(rows), len(names), 3)
         figure = _measured(at, names, points, np.isfinite(points).all(-1), rate)
         at.place = "line 3, Units"
@@ -248,17 +252,6 @@ def trc_table(at: Location, text: str) -> tuple[dict[str, str], tuple[str, ...],
     if len(rows) != frames:
         at.notes.append(f"NumFrames promises {frames} frames: the {len(rows)} that are there are read")
     return head, names, np.array([row + [math.nan] * (width - len(row)) for row in rows])
-
-
-def _doubt_rate(at: Location, times: np.ndarray, rate: float) -> None:
-    """Tells where times (T,) speak against the rate, or leave frames out; tables without times say nothing."""
-    steps = np.diff(times)
-    usual = np.median(steps) if len(steps) else 0.0
-    if usual > 0 and abs(usual * rate - 1) > 0.02:
-        said = f"its times are of {1 / usual:.4g} frames per second, not of {rate:g}, which is taken"
-        at.notes.append(f"{said}: {judging.SAY_RATE}")
-    if usual > 0 and (jumps := int(((steps > 1.6 * usual) | (steps <= 0)).sum())):
-        at.notes.append(f"frames are missing, or doubled: its times jump {jumps} times")
 
 
 def load_c3d(

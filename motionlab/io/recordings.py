@@ -87,20 +87,15 @@ class Row:
     guessed: tuple[str, ...] = ()
 
 
-def recordings(
-    folder: str | Path, source: str | None = None, *, video_fps: float | None = None, reading: Mapping | None = None
-) -> Iterator[Recording]:
+def recordings(folder: str | Path, source: str | None = None, *, reading: Mapping | None = None) -> Iterator[Recording]:
     """Finds every recording of the folder, or of one source, sorted by source and path.
 
-    Args:
-        video_fps: frames per second of OpenPose folders of one's own, which do not store it; without it their
-            loader raises a DataError that asks for it.
-        reading: options for those loaders that take them (``unit``, ``up``, ...).
+    reading: options for those loaders that take them (``unit``, ``up``, ``fps``, ...).
 
     Raises:
         MissingData: the folder, or the source in it, is not there or holds nothing that a loader knows.
     """
-    for name, _, path, loader in _found(Path(folder), source, video_fps):
+    for name, _, path, loader in _found(Path(folder), source, None):
         yield Recording(name, path, partial(io.guided, loader, options=reading) if reading else loader)
 
 
@@ -128,7 +123,8 @@ def inventory(
 ) -> list[Row]:
     """Loads every recording and counts: one row per source and kind of file. Arguments as of ``recordings``.
 
-    A recording that cannot be read stops nothing: it stands in ``unread`` of its row.
+    A recording that cannot be read stops nothing: it stands in ``unread`` of its row. video_fps: frames per second of
+    OpenPose folders of one's own, which do not store it.
 
     Raises:
         MissingData: see ``recordings``.

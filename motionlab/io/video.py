@@ -171,7 +171,9 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
     """
     small, steps, peaks, clear = [], [np.zeros(2)], [1.0], [False]
     for k, picture in enumerate(pictures):
-        small.append(_small(picture))
+        high = max(8, round(_SMALL * picture.shape[0] / picture.shape[1]))
+        grey = Image.fromarray(picture).convert("L").resize((_SMALL, high), Image.Resampling.BOX)
+        small.append(np.asarray(grey, float) - gaussian_filter(np.asarray(grey, float), 4.0))
         if k:
             mask = np.ones(small[0].shape)
             for n in (k - 1, k):
@@ -186,12 +188,6 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
         away = away + step if told else away
         found.append(np.inf if cut else float(np.linalg.norm(away)) / _SMALL if told else np.nan)
     return np.array(found)
-
-
-def _small(picture: np.ndarray) -> np.ndarray:
-    high = max(8, round(_SMALL * picture.shape[0] / picture.shape[1]))
-    grey = np.asarray(Image.fromarray(picture).convert("L").resize((_SMALL, high), Image.Resampling.BOX), float)
-    return grey - gaussian_filter(grey, 4.0)
 
 
 def _leave_out(mask: np.ndarray, boxes: Sequence[Sequence[float]], shape: tuple[int, ...]) -> None:
