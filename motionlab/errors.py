@@ -44,10 +44,11 @@ def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:
     Raises:
         ShapeError: naming the tensor, the expected and the actual shape.
     """
-    _, batched, words = pattern.rpartition("... ")
-    words, found, sizes = words.split(), tuple(x.shape), {}
+    words = pattern.split()
+    batched = words[:1] == ["..."]
+    words, found, sizes = words[batched:], tuple(x.shape), {}
     tail = found[max(len(found) - len(words), 0) :]
-    fits = len(tail) == len(words) and (bool(batched) or len(found) == len(words))
+    fits = len(tail) == len(words) and (batched or len(found) == len(words))
     for word, size in zip(words, tail, strict=False):
         fits &= size == (int(word) if word.isdigit() else sizes.setdefault(word, size))
     if not fits:

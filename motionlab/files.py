@@ -22,7 +22,7 @@ def write_whole(path: str | Path, content: str | bytes) -> None:
     path = Path(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        with writing(path, "name a file in a folder that exists"):
+        with writing(path, "name a file in a folder that exists", "whole file"):
             part.write_bytes(content.encode() if isinstance(content, str) else content)
             part.replace(path)
     finally:
@@ -48,7 +48,9 @@ def output_folder(out: str | Path) -> Path:
 
 
 @contextlib.contextmanager
-def writing(out: Path, remedy: str = "make room there, or name another folder: --out OUT/") -> Iterator[None]:
+def writing(
+    out: Path, remedy: str = "make room there, or name another folder: --out OUT/", place: str = ""
+) -> Iterator[None]:
     """Turns what the system says of a file or folder that cannot be written into a sentence.
 
     Raises:
@@ -59,7 +61,7 @@ def writing(out: Path, remedy: str = "make room there, or name another folder: -
     except MissingData:
         raise
     except OSError as error:
-        message, place = f"cannot be written: {error.strerror or error}", "" if out.is_dir() else "whole file"
+        message = f"cannot be written: {error.strerror or error}"
         raise DataError(message, path=out, place=place, remedy=remedy) from error
 
 

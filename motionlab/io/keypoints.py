@@ -288,10 +288,10 @@ def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | Non
         people[unsure] = 0
     seen = score > 0
     if seen.any() and (xy[seen] < 0).mean() > _NEGATIVE:
-        raise at.error("around zero: 3-D, or centred", place="coordinates", remedy="save the landmarks in pixels")
+        raise at.error("around zero, as of 3-D or centred points", place="coordinates", remedy="save them in pixels")
     if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
         if size is None:
-            raise at.error("shares of an unknown size", place="size", remedy="pass size=(width, height), or --size")
+            raise at.error("these are shares of the image", place="size", remedy="say its size: size=, or --size")
         xy *= size
         notes.append(f"coordinates are shares of the image: multiplied by its size, {size[0]:g} x {size[1]:g}")
     return notes
