@@ -168,16 +168,9 @@ def retarget(
     for j, off in lost.items():
         what = f"LOST: what {called[j]} does, as it is none of the joints found; what hangs on it is {off:.2f} m off"
         notes.append(f"{what} (say what it is: names=, on the command line --names)")
-    return Retargeted(
-        motion=replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype),
-        residual=sum(error.values()) / len(error),
-        per_joint=error,
-        names={name: called[j] for name, j in body.joints.items()},
-        unmapped=unmapped,
-        scale=scale,
-        floor=lift,
-        notes=tuple(notes),
-    )
+    moved, residual = replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype), sum(error.values())
+    source_names = {name: called[j] for name, j in body.joints.items()}
+    return Retargeted(moved, residual / len(error), error, source_names, unmapped, scale, lift, tuple(notes))
 
 
 def retarget_onto(motion: Motion, rig: Motion) -> Retargeted:
@@ -218,8 +211,7 @@ def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:
     R_source = R_target S^T G. A joint that stands for none of the 22 is turned against its parent as at rest; the
     middle between the hips is where the motion's is. Bones are the skeleton's.
 
-    Args:
-        motion: (T) on the joints of ``STANDARD``.
+    motion: (T) on the joints of ``STANDARD``.
     """
     world, places = motion.to(torch.float64).world[1], motion.to(torch.float64).positions
     correction, standard = _corrections(body), {j: STANDARD.index(name) for name, j in body.joints.items()}

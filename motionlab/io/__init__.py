@@ -14,7 +14,7 @@ import torch
 from motionlab import humanml
 from motionlab.errors import DataError
 from motionlab.io import amass, asf, bvh, clips, gltf, judging, points
-from motionlab.io.judging import Axes, Unit
+from motionlab.io.judging import Axes, Fps, Unit
 from motionlab.io.pickles import first_object
 from motionlab.io.points import Positions
 from motionlab.io.reading import checked_array, frame_rate, read_bytes, read_npy, reading
@@ -48,13 +48,7 @@ def _loader(loader: Callable, path: str | Path) -> Callable:
 
 
 def load_npy(
-    path: str | Path,
-    *,
-    person: int = 0,
-    unit: Unit = None,
-    up: Axes = None,
-    axes: Axes = None,
-    fps: float | None = None,
+    path: str | Path, *, person: int = 0, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None
 ) -> Motion:
     """Reads a .npy: HumanML3D's joints (T, 22, 3) or 263 numbers a frame, at 20 frames per second and y up unless they
     or the caller tell otherwise; of one that holds an object, see :func:`motionlab.io.amass.load`.

@@ -15,7 +15,7 @@ from motionlab import rotation
 from motionlab.errors import check_shape
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import Axes
+from motionlab.io.judging import Axes, Fps
 from motionlab.io.pickles import array_of, arrays_of, read_pickle
 from motionlab.io.reading import Location, check_writable, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion
@@ -153,7 +153,7 @@ def load(
     person: int = 0,
     up: Axes = None,
     axes: Axes = None,
-    fps: float | None = None,
+    fps: Fps = None,
 ) -> Motion:
     """Reads the body of a file as a Motion on 22 joints; hands, jaw and eyes are left out, shapes are not read.
 

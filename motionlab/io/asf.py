@@ -13,7 +13,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import DataError
-from motionlab.io.judging import UNITS
+from motionlab.io.judging import UNITS, Fps, Unit
 from motionlab.io.reading import Location, floats, frame_rate, read_text, reading, text_lines
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
@@ -35,7 +35,7 @@ class _Bone:
     children: list[str] = field(default_factory=list)
 
 
-def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: float | None = None) -> Motion:
+def load(asf: str | Path, amc: str | Path, *, fps: Fps = None, unit: float | None = None) -> Motion:
     """Reads a skeleton and one take: metres, z up, the skeleton of the ASF.
 
     A joint carries the name of the bone that starts there; where a bone has no child its far end is a
@@ -43,9 +43,8 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
     applied in the order written about fixed axes, the rotation against the parent is C M C^T: bones and
     their offsets are given in the world's axes of the rest pose (x left, y up, z forward).
 
-    Args:
-        fps: frames per second; None: 120, CMU's rate, which is noted.
-        unit: metres per unit of length; None: 1 / ``length`` inches, CMU's convention (1/0.45 inch), noted.
+    fps: frames per second; None: 120, CMU's rate, which is noted. unit: metres per unit of length; None: 1 / ``length``
+    inches, CMU's convention (1/0.45 inch), noted.
 
     Source: Acclaim ASF/AMC format, as used by mocap.cs.cmu.edu.
     Raises:
@@ -74,9 +73,7 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
         return Motion(skeleton, root.float(), rot.float(), fps, name=at.path.stem, notes=tuple(notes))
 
 
-def load_beside(
-    amc: str | Path, *, asf: str | Path | None = None, fps: float | None = None, unit: str | float | None = None
-) -> Motion:
+def load_beside(amc: str | Path, *, asf: str | Path | None = None, fps: Fps = None, unit: Unit = None) -> Motion:
     """Reads an .amc with the .asf beside it whose name its own begins with, the longest: 02.asf for 02_01.amc, and
     HDM_bd.asf for HDM_bd_walk.amc.
 

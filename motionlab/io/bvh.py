@@ -18,7 +18,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import AXES, UNITS, Axes, Unit, rerooted
+from motionlab.io.judging import AXES, UNITS, Axes, Fps, Unit, rerooted
 from motionlab.io.reading import RATES, Location, check_writable, floats, frame_rate, read_text, reading, text_lines
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
@@ -36,7 +36,7 @@ def load(
     unit: Unit = None,
     up: Axes = None,
     axes: Axes = None,
-    fps: float | None = None,
+    fps: Fps = None,
     translations: str = "strict",
 ) -> Motion:
     """Reads a BVH file: metres, z up, the file's own skeleton and rest pose.
@@ -83,9 +83,8 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
     ``<parent>_end`` that never turn become End Sites; other leaf joints get one of ``TIP`` of their bone.
     The file appears whole or not at all.
 
-    Args:
-        order: of the three rotation channels, applied left to right (intrinsic).
-        unit, up: as in :func:`load`; a rest pose that faces +z in the rest frame faces +z in a y-up file.
+    order: of the three rotation channels, applied left to right (intrinsic). unit, up: as in :func:`load`; a rest pose
+    that faces +z in the rest frame faces +z in a y-up file.
 
     Raises:
         ShapeError: the motion has batch axes or no frames.
@@ -179,7 +178,7 @@ def _relative(joints: list[_Joint], place: np.ndarray) -> list[int]:
     return moving if len(bones) > 1 and near > 0.8 * len(bones) else []
 
 
-def _parse(at: Location, text: str, fps: float | None = None) -> tuple[list[_Joint], np.ndarray, float]:
+def _parse(at: Location, text: str, fps: Fps = None) -> tuple[list[_Joint], np.ndarray, float]:
     """The joints in file order, one row of channel values a frame, and frames per second (or those given)."""
     lines = text_lines(at, text)
     joints = _hierarchy(at, lines)
@@ -241,7 +240,7 @@ def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
     raise at.error("the file ends before MOTION: it is truncated, or no BVH")
 
 
-def _motion(at: Location, lines: Iterator[str], width: int, fps: float | None) -> tuple[np.ndarray, float]:
+def _motion(at: Location, lines: Iterator[str], width: int, fps: Fps) -> tuple[np.ndarray, float]:
     header, places = [], []
     for key in ("Frames", "Frame Time"):
         line = next(lines, None)

@@ -85,9 +85,8 @@ def _csv(at: Location, rows: list[tuple[int, list[str]]]) -> Detections:
         rows = rows[2 + ("individuals" in heads) :]
     head = [cell.lower() for cell in title]
     columns = {name: k for k, name in reversed([*enumerate(head)])}
-    frame_at, id_at, person_at, name_at, time_at = (
-        first_of(columns, words) for words in (detections.FRAME, detections.ID, ("person",), _KEYPOINT, _TIME)
-    )
+    wanted = (detections.FRAME, detections.ID, ("person",), _KEYPOINT, _TIME)
+    frame_at, id_at, person_at, name_at, time_at = (first_of(columns, words) for words in wanted)
     at.place = "line 1"
     long = name_at is not None and {"x", "y"} <= columns.keys()
     one = [columns.get("x"), columns.get("y"), first_of(columns, detections.SCORES)]

@@ -195,9 +195,7 @@ def unknown(at: Location) -> DataError:
     return at.error(f"no known layout of keypoints; known are {_FORMATS}", remedy=PLAIN)
 
 
-def collect(
-    at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable[..., Sighting], **more
-) -> Detections:
+def collect(at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable, **more) -> Detections:
     """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros."""
     found = Detections(detector, {}, {}, **more)
     for number, people in frames:
@@ -219,9 +217,7 @@ def collect(
     return found
 
 
-def collect_named(
-    at: Location, detector: str, seen: list[tuple[int, list[tuple[dict, int | None]]]], **more
-) -> Detections:
+def collect_named(at: Location, detector: str, seen: list[tuple[int, list]], **more) -> Detections:
     """Joins (frame number, people) pairs whose points are (x, y, confidence) by name or number, None where not said.
 
     What somebody lacks is NaN. Names of COCO or MediaPipe are put in that layout's order.

@@ -28,7 +28,7 @@ from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import rerooted
+from motionlab.io.judging import Axes, Fps, Unit, rerooted
 from motionlab.io.reading import RATES, Location, check_writable, checked_array, frame_rate, read_bytes, reading
 from motionlab.motion import Motion
 from motionlab.rest import reframed
@@ -53,10 +53,10 @@ def load(
     *,
     person: int = 0,
     animation: str | int | None = None,
-    unit: str | float | None = None,
-    up: str | None = None,
-    axes: str | None = None,
-    fps: float | None = None,
+    unit: Unit = None,
+    up: Axes = None,
+    axes: Axes = None,
+    fps: Fps = None,
     translations: str = "strict",
 ) -> Motion:
     """Reads one person of an animation of a GLB or .gltf as a motion with the file's own skeleton.
@@ -172,9 +172,7 @@ class _Figure:
     name: str
 
 
-def _figure(
-    at: Location, content: dict, blob: bytes, person: int, animation: str | int | None, fps: float | None
-) -> _Figure:
+def _figure(at: Location, content: dict, blob: bytes, person: int, animation: str | int | None, fps: Fps) -> _Figure:
     nodes, skins = content["nodes"], content.get("skins") or []
     if not 0 <= person < max(len(skins), 1):
         raise at.error(f"no person {person}: {len(skins)} skins", remedy="count them from 0")
@@ -191,11 +189,8 @@ def _figure(
     seen = Counter(names)  # a node's number goes with its name where it has none or shares it
     names = [x if seen[x] == 1 and nodes[k].get("name") else f"{x}{k}" for k, x in zip(joints, names, strict=True)]
     used = {node for joint in joints for node in chains[joint]}
-    tracks = {
-        (node, what): (sampler, *_keys(at, content, blob, sampler, what, f"node {node} {what}"))
-        for node, what, sampler in channels
-        if node in used
-    }
+    used_channels = [channel for channel in channels if channel[0] in used]
+    tracks = {(k, what): (s, *_keys(at, content, blob, s, what, f"node {k} {what}")) for k, what, s in used_channels}
     if not tracks and chosen["channels"]:
         raise at.error("animates no joint", place="animations")
     extras = skin.get("extras", {}) | chosen.get("extras", {})
@@ -220,13 +215,9 @@ def _figure(
 
     places, turns, sizes, parents = zip(*(below(chains[joint]) for joint in joints), strict=True)
     place, rot, sizes = torch.stack(places, dim=1), torch.stack(turns, dim=1), torch.stack(sizes)
-    skeleton = Skeleton(
-        names=tuple(names),
-        parents=parents,
-        offsets=place[0] * torch.tensor([0.0] + [1.0] * (len(joints) - 1))[:, None],
-        contact_names=tuple(extras.get("contact_names", ())),
-        sole=float(extras.get("sole", 0.0)),
-    )
+    offsets = place[0] * torch.tensor([0.0] + [1.0] * (len(joints) - 1))[:, None]
+    contact_names, sole = tuple(extras.get("contact_names", ())), float(extras.get("sole", 0.0))
+    skeleton = Skeleton(tuple(names), parents, offsets, contact_names, sole)
     if len(skins) > 1:
         at.notes.append(f"person {person} of {len(skins)} in the file")
     ours, frames = content.get("asset", {}).get("generator") == GENERATOR, torch.eye(3, dtype=torch.float64)
@@ -285,7 +276,7 @@ def _keys(at: Location, content: dict, blob: bytes, sampler: dict, what: str, pl
     return keys, values
 
 
-def _grid(at: Location, keys: list[np.ndarray], says: object, fps: float | None) -> tuple[np.ndarray, float]:
+def _grid(at: Location, keys: list[np.ndarray], says: object, fps: Fps) -> tuple[np.ndarray, float]:
     """The times at which all channels are read, and frames per second: where the keys are, if that is steady."""
     times = np.unique(np.concatenate(keys))
     times = times[np.concatenate(([True], np.diff(times) > 1e-4))]
@@ -373,11 +364,7 @@ def _bound(at: Location, content: dict, blob: bytes, skin: dict, joints: list[in
 
 # ------------------------------------------------------------------------------------------------------------ writing
 def save(
-    path: str | Path,
-    motions: Motion | Sequence[Motion],
-    body: BodyModel | None = None,
-    *,
-    names: Sequence[str] | None = None,
+    path: str | Path, motions: Motion | Sequence[Motion], body: BodyModel | None = None, *, names: Sequence[str] = ()
 ) -> None:
     """Writes one person or several as an animated GLB: each an armature of joints, one key per frame, and the body as
     a skinned mesh. One animation moves all of them, since most viewers play only the first.
@@ -404,7 +391,7 @@ def save(
         raise ShapeError(f"expected one frame rate, got {[motion.fps for motion in people]}: use motion.resample")
     given = [motion.name or "motion" for motion in people]
     numbered = [f"{name} {k}" if given.count(name) > 1 else name for k, name in enumerate(given, start=1)]
-    names = numbered if names is None else list(names)
+    names = list(names) or numbered
     if len(people) != len(names):
         raise ShapeError(f"{len(people)} people and {len(names)} names: expected one for each")
     file = _Buffer()
@@ -475,10 +462,8 @@ def _animate(file: _Buffer, motion: Motion, name: str) -> int:
     quaternion = torch.nn.functional.normalize(quaternion, dim=-1)
     root = motion.root.detach().cpu().double() @ up.mT
     places, first = [root[0].tolist(), *skeleton.offsets[1:].tolist()], len(nodes)
-    nodes += [
-        {"name": joint, "translation": place, "rotation": turn}
-        for joint, place, turn in zip(skeleton.names, places, quaternion[0].tolist(), strict=True)
-    ]
+    resting = zip(skeleton.names, places, quaternion[0].tolist(), strict=True)
+    nodes += [{"name": joint, "translation": place, "rotation": turn} for joint, place, turn in resting]
     for joint, parent in enumerate(skeleton.parents[1:], start=1):
         nodes[first + parent].setdefault("children", []).append(first + joint)
     file.content["scenes"][0]["nodes"].append(len(nodes))

@@ -35,8 +35,8 @@ _FLOOR, _RARE, _SURE = 0.5, 0.3, 0.3
 _HEAD, _NECK = re.compile(r"head|[lr][fb]hd|頭|^face$"), re.compile(r"neck|nose|c7|clavicle|首")
 _FEET = re.compile(r"foot|feet|ankle|toe|heel|足首|[lr](ank|hee)|malleol|calc(?!.*tub)")
 
-#: What callers say of a file: a unit's name or metres; a letter of ``AXES``, or the file axes that become x, y, z.
-Unit, Axes = str | float | None, str | None
+#: What callers say: a unit's name or metres; a letter of ``AXES``, or the file axes that become x, y, z; a frame rate.
+Unit, Axes, Fps = str | float | None, str | None, float | None
 Figure = TypeVar("Figure")  # a Motion, or points.Positions
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
 SAME, RIGID = 0.002, 0.02
@@ -256,9 +256,8 @@ def rerooted(
     The root is the deepest joint of the trunk at the top that moves; the joints above it are composed into it, and what
     else hangs on them (handles of inverse kinematics) is left out. Both are noted.
 
-    Args:
-        translations: a joint below that moves is kept at its mean place and noted; "strict" refuses if it moves more
-            than ``RIGID``, "mean" never. lines: where each joint stands in the file, for messages.
+    translations: a joint below that moves is kept at its mean place and noted; "strict" refuses if it moves more than
+    ``RIGID``, "mean" never. lines: where each joint stands in the file, for messages.
     """
     names, parents, offset = skeleton.names, skeleton.parents, skeleton.offsets.double().numpy()
     reach = longest_chain(skeleton) or 1e-12

@@ -336,8 +336,7 @@ def load_person(
 ) -> Observation2D:
     """Reads one person's keypoints through time, in pixels, as :func:`load`; but every point counts, however unsure.
 
-    Args:
-        person: "longest" (seen in most frames), "largest" (tallest in the image), or an id.
+    person: "longest" (seen in most frames), "largest" (tallest in the image), or an id.
 
     Raises:
         DataError: see there; or nobody has the id.

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from motionlab.errors import check_shape
 from motionlab.io import judging
-from motionlab.io.judging import Axes, Unit, axes_to_matrix, unit_named
+from motionlab.io.judging import Axes, Fps, Unit, axes_to_matrix, unit_named
 from motionlab.io.reading import (
     Location,
     check_keys,
@@ -114,8 +114,7 @@ def load_biomech(path: str | Path, *, fps: float) -> Positions:
     The columns are counted off by the groups of line 3: the lines below it name only a part of them. The
     ``Angles`` columns are left out: some hold quaternions, some degrees, and the file does not say which.
 
-    Args:
-        fps: frames per second; the table does not hold it (``Framerate`` in the take's meta.txt does).
+    fps: frames per second; the table does not hold it (``Framerate`` in the take's meta.txt does).
 
     Raises:
         DataError: not such a table, a row is too short, or a cell is not a number.
@@ -150,9 +149,7 @@ def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observati
 
     These are projections of a 3-D fit, not detections: confidence is 1 inside the image and 0 outside.
 
-    Args:
-        camera: gives the size of the image; the table measures both axes in image widths.
-        fps: frames per second.
+    camera: gives the size of the image; the table measures both axes in image widths. fps: frames per second.
 
     Raises:
         DataError: not such a table, a row is too short, or a cell is not a number.
@@ -179,16 +176,13 @@ def _table(at: Location, rows: list[list[str]], width: int, first: int) -> Tenso
     return torch.from_numpy(table).double()
 
 
-def load_trc(
-    path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: float | None = None
-) -> Positions:
+def load_trc(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None) -> Positions:
     """Reads the markers of a TRC file in metres, z up.
 
     An empty cell, ``nan``, a marker at exactly (0, 0, 0), and what a row that ends early lacks was not measured.
 
-    Args:
-        unit, fps: instead of what the file says. up, axes: see :func:`motionlab.io.judging.to_world`; by default
-            OpenSim's convention (x forward, y up, z right: "zxy"), unless heads are above feet along another.
+    unit, fps: instead of what the file says. up, axes: see :func:`motionlab.io.judging.to_world`; by default OpenSim's
+    convention (x forward, y up, z right: "zxy"), unless heads are above feet along another.
 
     Raises:
         DataError: header and table do not fit each other, a cell is not a number, the unit is not known.
@@ -254,18 +248,15 @@ def trc_table(at: Location, text: str) -> tuple[dict[str, str], tuple[str, ...],
     return head, names, np.array([row + [math.nan] * (width - len(row)) for row in rows])
 
 
-def load_c3d(
-    path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: float | None = None
-) -> Positions:
+def load_c3d(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None) -> Positions:
     """Reads labelled points of a C3D file in metres, z up; analogue channels are skipped.
 
     Read with NumPy alone: the C++ readers crash or hang on damaged files, and no exception can stop that.
 
     A point with a negative residual, at exactly (0, 0, 0) or whose coordinates are not finite was not measured.
 
-    Args:
-        unit, up, axes, fps: see :func:`motionlab.io.judging.to_world`; by default what the file's ``POINT:UNITS``,
-            ``Y_SCREEN`` (the axis that points up on a screen) and ``RATE`` say, else what heads above feet tell.
+    unit, up, axes, fps: see :func:`motionlab.io.judging.to_world`; by default what the file's ``POINT:UNITS``,
+    ``Y_SCREEN`` (the axis that points up on a screen) and ``RATE`` say, else what heads above feet tell.
 
     Raises:
         DataError: not a C3D file, damaged, an unknown processor, or a unit or an up axis that neither file nor caller

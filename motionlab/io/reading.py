@@ -162,10 +162,8 @@ def checked_array(
     """Checks an array's axes and that every number is finite; returns it as float64. The error names the first that
     is not.
 
-    Args:
-        shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
-        largest: numbers from here on are refused.
-        nan: let NaN and None pass, as NaN.
+    shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one. largest: numbers from
+    here on are refused. nan: let NaN and None pass, as NaN.
     """
     place = place if place is not None else at.place
     try:

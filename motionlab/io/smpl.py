@@ -27,12 +27,10 @@ _VERTICES = {
 def load(path: str | Path, betas: int = 10) -> BodyModel:
     """Reads a body from a file in SMPL's format, on the 22 standard joints.
 
-    Hands, jaw and eyes of larger models move rigidly with the wrist or head above them: their weights are
-    folded into it. Pose correctives (``posedirs``) of the 21 moving joints are kept and applied by
-    :func:`motionlab.body.lbs`; those of the hands are dropped.
+    Hands, jaw and eyes of larger models move rigidly with the wrist or head above them: their weights are folded into
+    it. Pose correctives (``posedirs``) of the 21 moving joints are kept and applied by :func:`motionlab.body.lbs`.
 
-    Args:
-        betas: how many shape directions to keep, as far as the file has them.
+    betas: how many shape directions to keep, as far as the file has them.
 
     Source: Loper et al. 2015; Romero et al. 2017; Pavlakos et al. 2019.
     Raises:

@@ -163,9 +163,8 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
     only zooms does not. Infinite where the film is cut: there the background is another, though it can be told before
     and after.
 
-    Args:
-        pictures: N of (H, W, 3) uint8, a fraction of a second apart.
-        boxes: of the people in each picture: left, top, right, bottom in pixels.
+    pictures: N of (H, W, 3) uint8, a fraction of a second apart. boxes: of the people in each: left, top, right, bottom
+    in pixels.
 
     Source: Kuglin and Hines 1975.
     """
@@ -217,10 +216,8 @@ def frames_of(
 
     Numbers are frames, unless they are times, or too far apart to be a film's.
 
-    Args:
-        fps: frames per second that somebody said.
-        film: frames of the film, where it is known, or the numbers of its images.
-        loose: they may be those of any pictures.
+    fps: frames per second that somebody said. film: frames of the film, where it is known, or the numbers of its images.
+    loose: they may be those of any pictures.
     """
     first, last, steps = numbers[0], numbers[-1], np.diff(np.array(numbers, np.int64))
     if not isinstance(film, int | None):
