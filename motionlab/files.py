@@ -48,9 +48,7 @@ def output_folder(out: str | Path) -> Path:
 
 
 @contextlib.contextmanager
-def writing(
-    out: Path, remedy: str = "make room there, or name another folder: --out OUT/", place: str = ""
-) -> Iterator[None]:
+def writing(out: Path, remedy: str = "make room or name another folder: --out OUT/", place: str = "") -> Iterator[None]:
     """Turns what the system says of a file or folder that cannot be written into a sentence.
 
     Raises:

@@ -107,11 +107,10 @@ def _chunks(at: Location) -> tuple[dict, bytes]:
 
 
 def _of_glb(at: Location, data: bytes) -> tuple[bytes, bytes]:
-    if len(data) < 20 or data[:4] != MAGIC:
-        raise at.error("not a GLB file", place="header")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2 or length != len(data):
-        raise at.error(f"version {version}, {length} bytes promised, {len(data)} present", place="header")
+    version, length = struct.unpack_from("<II", data.ljust(12, b"\0"), 4)
+    if data[:4] != MAGIC or version != 2 or length != len(data):
+        what = f"version {version}, {length} bytes promised, {len(data)} present"
+        raise at.error("not a GLB file" if data[:4] != MAGIC else what, place="header")
     found, start = {}, 12
     while start + 8 <= len(data):
         size, kind = struct.unpack_from("<I4s", data, start)

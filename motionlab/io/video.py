@@ -216,8 +216,8 @@ def frames_of(
 
     Numbers are frames, unless they are times, or too far apart to be a film's.
 
-    fps: frames per second that somebody said. film: frames of the film, where it is known, or the numbers of its images.
-    loose: they may be those of any pictures.
+    fps: frames per second that somebody said. film: frames of the film, where known, or its images' numbers. loose:
+    the numbers may be those of any pictures.
     """
     first, last, steps = numbers[0], numbers[-1], np.diff(np.array(numbers, np.int64))
     if not isinstance(film, int | None):
