@@ -177,7 +177,7 @@ def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
     elif key in ("dof", "order"):
         free = [f"{kind}{axis}" for kind in ("tr" if key == "order" else "r") for axis in "xyz"]
         bone.dof = [word.lower() for word in words]
-        if not {*bone.dof} <= {*free} or len(bone.dof) != len(free if key == "order" else {*bone.dof}):
+        if len({*free} & {*bone.dof}) != len(bone.dof) or (key == "order" and len(bone.dof) < len(free)):
             which = "each" if key == "order" else "some"
             raise at.error(f"degrees of freedom must be {which} of {' '.join(free)}, once, got {' '.join(words)}")
 
