@@ -45,16 +45,13 @@ def load(path: Path | str) -> tuple[dict[str, Tensor], dict]:
     """
     path = Path(path).with_suffix(".safetensors")
     recipe = read_recipe(path)
-    try:
+    with rebuilding(path, "no tensors"):
         content = path.read_bytes()
-        if recipe.get("sha256") != hashlib.sha256(content).hexdigest():
-            raise DataError("not the tensors that its recipe describes", path=path, place="sha256", remedy=REMEDY)
-        _LOADED[path.stem] = recipe["sha256"][:12]
-        return _nudged(load_tensors(content)), recipe
-    except OSError as error:
-        raise DataError(error.strerror or str(error), path=path, remedy=REMEDY) from error
-    except SafetensorError as error:
-        raise DataError(f"damaged: {error}", path=path, remedy=REMEDY) from error
+        tensors = load_tensors(content)
+    if recipe.get("sha256") != hashlib.sha256(content).hexdigest():
+        raise DataError("not the tensors that its recipe describes", path=path, place="sha256", remedy=REMEDY)
+    _LOADED[path.stem] = recipe["sha256"][:12]
+    return _nudged(tensors), recipe
 
 
 def _nudged(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -82,15 +79,8 @@ def read_recipe(path: Path | str) -> dict:
         DataError: it is missing or not JSON.
     """
     path = Path(path).with_suffix(".json")
-    try:
-        recipe = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(error.strerror or str(error), path=path, remedy=REMEDY) from error
-    except ValueError as error:
-        raise DataError(f"not JSON: {error}", path=path, remedy=REMEDY) from error
-    if not isinstance(recipe, dict):
-        raise DataError("not a recipe", path=path, remedy=REMEDY)
-    return recipe
+    with rebuilding(path, "no recipe"):
+        return dict(json.loads(path.read_text(encoding="utf-8")))
 
 
 def shipped(name: str) -> Path:
@@ -100,10 +90,10 @@ def shipped(name: str) -> Path:
 
 @contextmanager
 def rebuilding(path: Path | str, complaint: str) -> Iterator[None]:
-    """Turns what goes wrong while a network is built of a recipe and its tensors into a DataError: it is of another."""
+    """Turns what goes wrong while a checkpoint is read, or a network built of one of another, into a DataError."""
     try:
         yield
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise DataError(f"{complaint} ({type(error).__name__}: {error})"[:300], path=path, remedy=REMEDY) from error
 
 
@@ -118,16 +108,13 @@ def frozen(build: Callable[[], Network], tensors: Mapping[str, Tensor], prefix: 
 def load_foreign(path: Path | str, key: str, remedy: str) -> dict[str, Tensor]:
     """Reads the tensors of a state dict that somebody else saved with torch, by name, without 'module.'.
 
-    The file holds it under ``key``, or is one itself. Nothing in it is executed. What
-    else a training run has saved beside the tensors is left alone.
+    The file holds it under ``key``, or is one itself. Nothing in it is executed.
 
     Raises:
         DataError: no such file, not a file of plain tensors, or none in it.
     """
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise DataError("there is no such file", path=path, remedy=remedy) from error
     except Exception as error:  # torch names no type for a file that is none of its own
         message = f"not a file of plain tensors ({type(error).__name__})"
         raise DataError(message, path=path, remedy=f"{remedy}; or save its state_dict alone with torch.save") from error

@@ -25,13 +25,10 @@ class DataError(ValueError):
 class MissingData(FileNotFoundError):
     """Data or software that the caller must fetch first; the message says how to get it."""
 
-    def __init__(self, what: str, how_to_get: str) -> None:
-        self.what, self.how_to_get = what, how_to_get
-        super().__init__(f"{what} is missing. {how_to_get}")
-
-    def __reduce__(self) -> tuple:
-        """As it comes out of another process: Python would make it from its message alone, and fail."""
-        return type(self), (self.what, self.how_to_get)
+    def __init__(self, what: str, how_to_get: str = "") -> None:
+        self.how_to_get = how_to_get
+        # Python makes what comes out of another process again, from its message alone
+        super().__init__(f"{what} is missing. {how_to_get}" if how_to_get else what)
 
 
 class NotConverged(RuntimeError):
@@ -48,15 +45,12 @@ def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:
         ShapeError: naming the tensor, the expected and the actual shape.
     """
     words = pattern.split()
-    open_front = words[:1] == ["..."]
-    words = words[1:] if open_front else words
-    found = tuple(x.shape)
-    sizes: dict[str, int] = {}
-    fits = len(found) >= len(words) if open_front else len(found) == len(words)
-    if fits:
-        tail = found[len(found) - len(words) :]
-        for word, size in zip(words, tail, strict=True):
-            fits &= size == (int(word) if word.isdigit() else sizes.setdefault(word, size))
+    batched = words[:1] == ["..."]
+    words, found, sizes = words[batched:], tuple(x.shape), {}
+    tail = found[max(len(found) - len(words), 0) :]
+    fits = len(tail) == len(words) and (batched or len(found) == len(words))
+    for word, size in zip(words, tail, strict=False):
+        fits &= size == (int(word) if word.isdigit() else sizes.setdefault(word, size))
     if not fits:
         raise ShapeError(f"{name}: expected shape ({pattern.replace(' ', ', ')}), got {found}")
     return sizes

@@ -22,11 +22,9 @@ def write_whole(path: str | Path, content: str | bytes) -> None:
     path = Path(path)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.write_bytes(content.encode() if isinstance(content, str) else content)
-        part.replace(path)
-    except OSError as error:
-        message = f"cannot be written: {error.strerror or error}"
-        raise DataError(message, path=path, place="whole file", remedy="name a file in a folder that exists") from error
+        with writing(path, "name a file in a folder that exists", "whole file"):
+            part.write_bytes(content.encode() if isinstance(content, str) else content)
+            part.replace(path)
     finally:
         with contextlib.suppress(OSError):  # not there, or a name that cannot be
             part.unlink()
@@ -42,18 +40,16 @@ def output_folder(out: str | Path) -> Path:
     if out.suffix.lower() in (".npz", ".bvh", ".glb", ".json", ".mp4", ".gif") or out.is_file():
         remedy = f"give a folder, such as --out {out.with_suffix('')}/: motion.npz, motion.bvh, scene.glb, ... go there"
         raise DataError("fit writes a folder, not one file", path=out, remedy=remedy)
-    try:
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"cannot be made: {error.strerror}", path=out, remedy="name another folder") from error
-    with writing(out), tempfile.TemporaryFile(dir=out) as probe:
-        probe.write(b"whether there is room is better known before than after")
+        with tempfile.TemporaryFile(dir=out) as probe:
+            probe.write(b"whether there is room is better known before than after")
     return out.absolute()  # FFmpeg takes what is before a colon for a protocol
 
 
 @contextlib.contextmanager
-def writing(out: Path) -> Iterator[None]:
-    """Turns what the system says of a folder that cannot be written into a sentence.
+def writing(out: Path, remedy: str = "make room or name another folder: --out OUT/", place: str = "") -> Iterator[None]:
+    """Turns what the system says of a file or folder that cannot be written into a sentence.
 
     Raises:
         DataError: whatever ``OSError`` the block raised.
@@ -63,8 +59,8 @@ def writing(out: Path) -> Iterator[None]:
     except MissingData:
         raise
     except OSError as error:
-        remedy = "make room there, or name another folder: --out OUT/"
-        raise DataError(f"cannot be written: {error.strerror or error}", path=out, remedy=remedy) from error
+        message = f"cannot be written: {error.strerror or error}"
+        raise DataError(message, path=out, place=place, remedy=remedy) from error
 
 
 def source_hash(source: str) -> str:
@@ -72,10 +68,7 @@ def source_hash(source: str) -> str:
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            node.body = [part for part in node.body if not _silent(part)] or [ast.Pass()]
+            told = [part for part in node.body if not isinstance(part, ast.Import | ast.ImportFrom)]
+            texts = [part for part in told if isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant)]
+            node.body = [part for part in told if part not in texts] or [ast.Pass()]
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:8]
-
-
-def _silent(node: ast.stmt) -> bool:
-    documentation = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    return documentation or isinstance(node, ast.Import | ast.ImportFrom)

@@ -30,20 +30,24 @@ from motionlab.skeleton import STANDARD, UPRIGHT
 
 FPS, SIZE, JOINTS = 20.0, 263, 22
 _STILL = 0.002  # m^2: a foot that moves less between frames stands still
-_SMOOTH = 20.0  # frames: of the facing
 #: Where a bone points in the pose of no turn, and the chains in which they are counted: arms begin anew at the root's.
 _LETTERS = {"l": (1, 0, 0), "r": (-1, 0, 0), "u": (0, 1, 0), "d": (0, -1, 0), "f": (0, 0, 1), " ": (0, 0, 0)}
 _AXES = [_LETTERS[letter] for letter in " lruddudduffulrfdddddd"]
 _CHAINS = ((0, 2, 5, 8, 11), (0, 1, 4, 7, 10), (0, 3, 6, 9, 12, 15), (9, 14, 17, 19, 21), (9, 13, 16, 18, 20))
-_FEET = (7, 10, 8, 11)
 
 
 def features(joints: Tensor) -> Tensor:
     """Computes the 263 numbers (T - 1, 263) of joints (T, 22, 3) that begin as :func:`begun` puts them."""
+    from scipy.ndimage import gaussian_filter1d
+
     check_shape(joints, f"T {JOINTS} 3", "joints")
     joints = joints.double()
     root, step = joints[:, 0], joints[1:] - joints[:-1]
-    turn = _facing(joints)
+    across = torch.nn.functional.normalize(joints[:, 1] - joints[:, 2] + joints[:, 17] - joints[:, 16], dim=-1)
+    forward = torch.linalg.cross(torch.tensor([[0.0, 1.0, 0.0]]).double(), across, dim=-1).numpy()
+    forward = gaussian_filter1d(forward, 20.0, axis=0, mode="nearest")
+    turn = torch.from_numpy(-np.arctan2(forward[:, 0], forward[:, 2]))  # to face +z, but for the first frame
+    turn[0] = 0
     face = rotation.rotation_about("y", turn)
     moved = (face[1:] @ step[:, 0, :, None])[..., 0]
     level = joints - root[:, None] * torch.tensor([1.0, 0.0, 1.0])
@@ -54,7 +58,7 @@ def features(joints: Tensor) -> Tensor:
         for a, b in pairwise(chain):
             bone = rotation.rotation_between(torch.tensor(_AXES[b], dtype=torch.float64), joints[:, b] - joints[:, a])
             turned[:, b], above = above.mT @ bone, bone
-    still = (step[:, list(_FEET)].square().sum(-1) < _STILL).double()
+    still = (step[:, [7, 10, 8, 11]].square().sum(-1) < _STILL).double()
     half = torch.remainder(turn[1:] - turn[:-1] + torch.pi, 2 * torch.pi) - torch.pi
     parts = [half[:, None] / 2, moved[:, [0, 2]], root[:-1, 1:2], local[:-1, 1:].flatten(1)]
     parts += [rotation.matrix_to_sixd(turned[:-1, 1:]).flatten(1)]
@@ -63,11 +67,7 @@ def features(joints: Tensor) -> Tensor:
 
 
 def joints_of(numbers: Tensor) -> Tensor:
-    """Computes joints (T, 22, 3) of the 263 numbers (T, 263), from the origin and facing +z.
-
-    Raises:
-        ShapeError: another shape.
-    """
+    """Computes joints (T, 22, 3) of the 263 numbers (T, 263), from the origin and facing +z."""
     check_shape(numbers, f"T {SIZE}", "features")
     numbers = numbers.double()
     turn = torch.cat((numbers.new_zeros(1), 2 * numbers[:-1, 0].cumsum(0)))
@@ -103,17 +103,16 @@ def motion_of(joints: Tensor, fps: float = FPS, name: str = "") -> Motion:
     below = {j: [k for k in range(1, JOINTS) if tree[k] == j] for j in range(JOINTS)}
     world = torch.eye(3, dtype=torch.float64).repeat(len(joints), JOINTS, 1, 1)
     for j in range(JOINTS):
-        above = world[:, tree[j]] if j else world[:, j]
+        world[:, j] = above = world[:, max(tree[j], 0)].clone()
         if len(below[j]) == 1:
             (k,) = below[j]
             world[:, j] = rotation.rotation_between((above @ offsets[k, :, None])[..., 0], bones[k]) @ above
-        elif below[j]:
-            for _ in range(4):  # the rotations by the offsets, then the offsets by the rotations
-                world[:, j] = rotation.nearest(sum(bones[k][..., None] * offsets[k] for k in below[j]))
-                for k in below[j]:
-                    offsets[k] = (world[:, j].mT @ bones[k][..., None])[..., 0].mean(0)
-        else:
-            world[:, j] = above
+        for _ in range(
+            4 if len(below[j]) > 1 else 0
+        ):  # the rotations by the offsets, then the offsets by the rotations
+            world[:, j] = rotation.nearest(sum(bones[k][..., None] * offsets[k] for k in below[j]))
+            for k in below[j]:
+                offsets[k] = (world[:, j].mT @ bones[k][..., None])[..., 0].mean(0)
     skeleton = replace(STANDARD, offsets=offsets)
     note = "rotations are worked out from the places of the joints: how limbs are twisted is not in the file"
     return Motion(skeleton, joints[:, 0], skeleton.local(world), fps, name=name, notes=(note,))
@@ -133,15 +132,3 @@ def save(path: str | Path, motion: Motion, *, as_features: bool = False) -> None
     stream = io.BytesIO()
     np.save(stream, (features(joints) if as_features else joints).float().numpy())
     write_whole(path, stream.getvalue())
-
-
-def _facing(joints: Tensor) -> Tensor:
-    """By how much to turn about y (T,), radians, to face +z; 0 in the first frame."""
-    from scipy.ndimage import gaussian_filter1d
-
-    across = torch.nn.functional.normalize(joints[:, 1] - joints[:, 2] + joints[:, 17] - joints[:, 16], dim=-1)
-    forward = torch.linalg.cross(torch.tensor([[0.0, 1.0, 0.0]]).double(), across, dim=-1).numpy()
-    forward = gaussian_filter1d(forward, _SMOOTH, axis=0, mode="nearest")
-    turn = torch.from_numpy(-np.arctan2(forward[:, 0], forward[:, 2]))
-    turn[0] = 0
-    return turn

@@ -32,13 +32,14 @@ _STRAIGHT = 0.02  # a limb that bends less on the whole says little of its hinge
 _LOW = 0.04  # metres: an ankle so near to its lowest may stand
 _FRAMES = 2000  # are enough
 
-#: A figure stands if these bones point so, within 60 degrees.
+#: A figure stands if these bones point so, within 60 degrees, and toes ahead.
 _STANDING = (
     *((-_BODY[1], f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))),
     (_BODY[0], "right_hip", "left_hip"),
     (_BODY[1], "pelvis", "neck"),
     (_BODY[0], "right_shoulder", "left_shoulder"),
 )
+_TOES = tuple((_BODY[2], f"{side}_ankle", f"{side}_foot") for side in ("left", "right"))
 #: And so in a T, within 20.
 _IN_A_T = tuple(
     (sign * _BODY[0], f"{s}_{a}", f"{s}_{b}")
@@ -55,10 +56,12 @@ def rest_poses(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, Te
         motion: one clip (T frames), float64, z up.
         joints: standard name -> joint.
     """
+    arms = {name for _, *ends in _IN_A_T for name in ends} <= joints.keys()
     for source, pose in _candidates(motion, joints):
         if pose is not None:
             rest = motion.skeleton.rest_positions(pose)
-            if _stands(rest, joints) and (source != FIRST or _points(rest, joints, _IN_A_T, 0.94, needed=True)):
+            in_a_t = source != FIRST or (arms and _points(rest, joints, _IN_A_T, 0.94))
+            if in_a_t and _points(rest, joints, _STANDING, 0.5) and _points(rest, joints, _TOES, 0.0):
                 yield source, pose, rest
 
 
@@ -76,9 +79,8 @@ def _candidates(motion: Motion, joints: dict[str, int]) -> Iterator[tuple[str, T
 
 def looks_ahead(motion: Motion, joints: dict[str, int]) -> bool:
     """Whether knees and toes are on the whole where the front is if left is left: sides may be swapped."""
-    pairs = [
-        [joints.get(f"{side}_{part}", 0) for side in ("left", "right")] for part in ("hip", "knee", "ankle", "foot")
-    ]
+    parts = ("hip", "knee", "ankle", "foot")
+    pairs = ([joints.get(f"left_{part}", 0), joints.get(f"right_{part}", 0)] for part in parts)
     hip, knee, ankle, ball = (motion.positions[:, pair] for pair in pairs)
     front = torch.linalg.cross(hip[:, 0] - hip[:, 1], (hip - ankle).mean(1), dim=-1)
     toes = ball - ankle if "left_foot" in joints and "right_foot" in joints else torch.zeros_like(knee)
@@ -97,10 +99,8 @@ def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: flo
     """A pose (J, 3, 3) in any axes, seen in the body's own, which are read off it: up and left are axes of the file
     where they nearly are, left by a cosine of ``near``."""
     rest = skeleton.rest_positions(pose)
-    hips = rest[joints["left_hip"]], rest[joints["right_hip"]]
-    left = hips[0] - hips[1]
-    ankles = rest[joints["left_ankle"]] + rest[joints["right_ankle"]]
-    up = sum(hips) / 2 - ankles / 2
+    hips, ankles = ([rest[joints[f"{side}_{part}"]] for side in ("left", "right")] for part in ("hip", "ankle"))
+    left, up = hips[0] - hips[1], sum(hips) / 2 - sum(ankles) / 2
     if torch.linalg.cross(left, up).norm() < 1e-3 * left.norm() * up.norm() or not left.norm() > 0:
         return None
     axes = []
@@ -114,16 +114,10 @@ def _to_body(skeleton: Skeleton, pose: Tensor, joints: dict[str, int], near: flo
     return torch.stack((left, up, torch.linalg.cross(left, up))) @ pose
 
 
-def _stands(rest: Tensor, joints: dict[str, int]) -> bool:
-    """Legs down, trunk up, left on the left, toes in front."""
-    feet = [rest[joints[f"{s}_foot"]] - rest[joints[f"{s}_ankle"]] for s in ("left", "right") if f"{s}_foot" in joints]
-    return _points(rest, joints, _STANDING, 0.5) and all(foot[2] >= 0 for foot in feet)
-
-
-def _points(rest: Tensor, joints: dict[str, int], bones: tuple, cosine: float, needed: bool = False) -> bool:
+def _points(rest: Tensor, joints: dict[str, int], bones: tuple, cosine: float) -> bool:
+    """Whether those of the bones that are there point as they should."""
     there = [(way, rest[joints[b]] - rest[joints[a]]) for way, a, b in bones if a in joints and b in joints]
-    found = len(there) == len(bones) or not needed
-    return found and all(bone @ way >= cosine * bone.norm() for way, bone in there)
+    return all(bone @ way >= cosine * bone.norm() for way, bone in there)
 
 
 # --------------------------------------------------------------------------------------------------- from movement

@@ -1,11 +1,11 @@
 """Retargets a motion of any known skeleton to the standard 22 joints, with its error; feet that stand stay in place.
 
-First how a skeleton is read, then the transfer there and back, then the legs.
+First how a skeleton is read, then the transfer there and back, then what that loses of a rig.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
@@ -20,6 +20,7 @@ from motionlab.rigs import dropped_joints, find_joints, guessed_joints
 from motionlab.skeleton import BALLS, FEET, STANDARD, Skeleton, fk
 
 _EYE = torch.eye(3, dtype=torch.float64)
+PLACE, ANGLE = 0.02, 5.0  # metres and degrees that the way there and back may cost a rig, at the 95th percentile
 _LEG = ("hip", "knee", "ankle")
 _LIMBS = ("hip", "knee", "shoulder", "elbow")  # a bone of these names points along the standard's own
 
@@ -47,23 +48,16 @@ def match_joints(motion: Motion) -> Match:
     """
     motion = motion.to(torch.float64)
     joints = find_joints(motion.skeleton, motion.name)
+    guessed = [name for name in guessed_joints(motion.skeleton, joints) if name in BALLS]
     for source, rest_rot, rest in rest_poses(motion, joints):
-        behind = [n for n in guessed_joints(motion.skeleton, joints) if n in BALLS and not _ahead(rest, joints, n)]
-        return Match({n: j for n, j in joints.items() if n not in behind}, source, rest_rot, rest)
+        for name in guessed:  # what no name says may be the heel: a ball of the foot lies ahead of its ankle
+            bone = rest[joints[name]] - rest[joints[name.replace("foot", "ankle")]]
+            joints = joints if bone[2] > 0.5 * bone.norm() else {n: j for n, j in joints.items() if n != name}
+        return Match(joints, source, rest_rot, rest)
     told = ", ".join(f"{name} = {motion.skeleton.names[j]}" for name, j in joints.items())
-    raise DataError(
-        f"no pose is found in which the figure stands, its left on the left and its toes in front, if {told}",
-        path=motion.name,
-        place="rest pose",
-        remedy="say what is what by names=, on the command line --names FILE.json; or export with a T-pose as the rest "
-        "pose or as the first frame",
-    )
-
-
-def _ahead(rest: Tensor, joints: dict[str, int], ball: str) -> bool:
-    """Whether a ball of the foot lies ahead of its ankle, not below: what no name says may be the heel."""
-    bone = rest[joints[ball]] - rest[joints[ball.replace("foot", "ankle")]]
-    return bool(bone[2] > 0.5 * bone.norm())
+    message = f"no pose is found in which the figure stands, its left on the left and its toes in front, if {told}"
+    remedy = "say what is what by names=, on the command line --names FILE.json; or export with a T-pose as the rest "
+    raise DataError(message, path=motion.name, place="rest pose", remedy=f"{remedy}pose or as the first frame")
 
 
 # ---------------------------------------------------------------------------------------------------- transfer
@@ -143,7 +137,8 @@ def retarget(
         raise DataError("legs of no length", path=motion.name, place="rest pose", remedy="check the offsets")
     scale = leg / length if leg else 1.0
     standing = (proportions if isinstance(proportions, Skeleton) else STANDARD).to(torch.float64)
-    standing = standing.scaled(scale * length / _leg_length_of(standing))
+    bones = standing.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG[1:]])
+    standing = standing.scaled(scale * length / (float(standing.offsets[bones].norm(dim=-1).sum()) / 2))
     correction = _corrections(body)
     positions, world = source.world
     where = {name: scale * positions[:, j] for name, j in body.joints.items()}
@@ -160,32 +155,22 @@ def retarget(
     up = torch.tensor([0.0, 0.0, lift], dtype=torch.float64)
     target, where = replace(target, root=target.root + up), {name: place + up for name, place in where.items()}
     error = {n: float((target.positions[:, STANDARD.index(n)] - p).norm(dim=-1).mean()) for n, p in where.items()}
-    called = source.skeleton.names
-    lost = _lost(body, source.skeleton, positions, world)
+    called, lost = source.skeleton.names, _lost(body, source.skeleton, positions, world)
     error |= {called[j]: scale * off for j, off in lost.items()}
     unmapped = tuple(name for name in STANDARD.names if name not in where)
     notes = [f"joints recognised: {len(where)} of {len(STANDARD)}"]
-    notes += [] if body.source == ZERO else [f"how the joints are turned is taken from the {body.source}"]
+    notes += [f"how the joints are turned is taken from the {body.source}"] if body.source != ZERO else []
     way = "raised" if lift > 0 else "lowered"
     notes += [f"{way} by {abs(lift):.3f} m, so that the feet stand on the floor"] if abs(lift) > 0.0005 else []
     guesses = [f"{name} = {called[j]}" for name, j in guessed_joints(source.skeleton, body.joints).items()]
     notes += [f"said by no name, taken by their place: {', '.join(guesses)}"] if guesses else []
     notes += [f"the file has no {', '.join(unmapped)}: made up from the joints around"] if unmapped else []
-    notes += [
-        f"LOST: what {called[j]} does, as it is none of the joints found; what hangs on it is {off:.2f} m off "
-        "(say what it is: names=, on the command line --names)"
-        for j, off in lost.items()
-    ]
-    return Retargeted(
-        motion=replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype),
-        residual=sum(error.values()) / len(error),
-        per_joint=error,
-        names={name: called[j] for name, j in body.joints.items()},
-        unmapped=unmapped,
-        scale=scale,
-        floor=lift,
-        notes=tuple(notes),
-    )
+    for j, off in lost.items():
+        what = f"LOST: what {called[j]} does, as it is none of the joints found; what hangs on it is {off:.2f} m off"
+        notes.append(f"{what} (say what it is: names=, on the command line --names)")
+    moved, residual = replace(target, notes=(*motion.notes, *notes)).to(motion.root.dtype), sum(error.values())
+    source_names = {name: called[j] for name, j in body.joints.items()}
+    return Retargeted(moved, residual / len(error), error, source_names, unmapped, scale, lift, tuple(notes))
 
 
 def retarget_onto(motion: Motion, rig: Motion) -> Retargeted:
@@ -207,10 +192,9 @@ def retarget_onto(motion: Motion, rig: Motion) -> Retargeted:
     bones = retarget(rig.cut(0, 1), floor=False, body=body).motion.skeleton
     found = retarget(motion, proportions=bones, leg=_leg_length(body), body=source)
     made = put_on(found.motion, rig.skeleton, body)
-    follow, every = len(body.joints), len(rig.skeleton)
+    follow, every, off = len(body.joints), len(rig.skeleton), 100 * found.residual
     notes = [f"joints of the rig that follow: {follow} of {every}" + "; the others stay as at rest" * (follow < every)]
     notes += [f"scaled by {found.scale:.3f}, as the rig's legs are"]
-    off = 100 * found.residual
     notes += [f"joints are {off:.1f} cm on average from where the file's are then, by what the bodies differ in"]
     lacks = [name for name in source.joints if name not in body.joints]
     notes += [f"not carried over, as the rig has none: {', '.join(lacks)}"] if lacks else []
@@ -227,19 +211,15 @@ def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:
     R_source = R_target S^T G. A joint that stands for none of the 22 is turned against its parent as at rest; the
     middle between the hips is where the motion's is. Bones are the skeleton's.
 
-    Args:
-        motion: (T) on the joints of ``STANDARD``.
+    motion: (T) on the joints of ``STANDARD``.
     """
     world, places = motion.to(torch.float64).world[1], motion.to(torch.float64).positions
     correction, standard = _corrections(body), {j: STANDARD.index(name) for name, j in body.joints.items()}
     turned: list[Tensor] = []
     for j, parent in enumerate(skeleton.parents):
-        if j in standard:
-            turned.append(world[:, standard[j]] @ correction[standard[j]].T @ body.rest_rot[j])
-        elif parent >= 0:
-            turned.append(turned[parent] @ body.rest_rot[parent].T @ body.rest_rot[j])
-        else:  # above the pelvis
-            turned.append(world[:, 0] @ body.rest_rot[j])
+        above = turned[parent] @ body.rest_rot[parent].T if parent >= 0 else world[:, 0]
+        above = world[:, standard[j]] @ correction[standard[j]].T if j in standard else above
+        turned.append(above @ body.rest_rot[j])
     rot, skeleton = skeleton.local(torch.stack(turned, dim=1)), skeleton.to(torch.float64)
     own = fk(skeleton, torch.zeros_like(motion.root, dtype=torch.float64), rot)[0]
     hips = places[:, STANDARD.indices(["left_hip", "right_hip"])].mean(1)
@@ -261,13 +241,13 @@ def with_rest(motion: Motion, pose: str) -> Motion:
         DataError: as :func:`match_joints`.
     """
     body, skeleton = match_joints(motion), motion.skeleton
-    arms = {body.joints[name]: name for name in body.joints if name.endswith("_shoulder")}
+    quarter = {"left_shoulder": -0.25, "right_shoulder": 0.25} if pose == "a" else {}
+    arms = {j: torch.tensor(quarter[name]).double() for name, j in body.joints.items() if name in quarter}
     correction = {j: _corrections(body)[STANDARD.index(name)] for name, j in body.joints.items()}
     frames, down = [], []
     for j, parent in enumerate(skeleton.parents):
         frames.append(correction[j] if j in correction else frames[parent] if parent >= 0 else _EYE)
-        quarter = torch.tensor(-0.25 if j in arms and arms[j].startswith("left") else 0.25, dtype=torch.float64)
-        turned = rotation.rotation_about("z", torch.pi * quarter) if j in arms and pose == "a" else _EYE
+        turned = rotation.rotation_about("z", torch.pi * arms[j]) if j in arms else _EYE
         down.append(turned @ down[parent] if parent >= 0 else turned)
     new = body.rest_rot.mT @ torch.stack(frames) @ torch.stack(down).mT
     turned, rot = reframed(skeleton.to(torch.float64), motion.rot.double(), new.mT)
@@ -304,11 +284,6 @@ def _leg_length(body: Match) -> float:
     return sum(float((k - h).norm() + (a - k).norm()) for h, k, a in ways) / 2
 
 
-def _leg_length_of(skeleton: Skeleton) -> float:
-    bones = skeleton.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG[1:]])
-    return float(skeleton.offsets[bones].norm(dim=-1).sum()) / 2
-
-
 def _corrections(body: Match) -> Tensor:
     """S (22, 3, 3): from the T-pose's bone to the source's bone in its rest pose, in body axes.
 
@@ -334,11 +309,8 @@ def _rotations(body: Match, correction: Tensor, world: Tensor) -> Tensor:
     """Local rotations (T, 22, 3, 3) of the target from the source's world orientations (T, J, 3, 3)."""
     turned: list[Tensor] = []
     for joint, name in enumerate(STANDARD.names):
-        if name in body.joints:
-            j = body.joints[name]
-            turned.append(world[:, j] @ body.rest_rot[j].T @ correction[joint])
-        else:
-            turned.append(turned[STANDARD.parents[joint]])
+        j, above = body.joints.get(name), STANDARD.parents[joint]
+        turned.append(turned[above] if j is None else world[:, j] @ body.rest_rot[j].T @ correction[joint])
     return STANDARD.local(torch.stack(turned, dim=1))
 
 
@@ -353,11 +325,64 @@ def _source_proportions(body: Match, correction: Tensor, standing: Skeleton, sca
         while STANDARD.parents[way[-1]] >= 0 and STANDARD.names[STANDARD.parents[way[-1]]] not in body.joints:
             way.append(STANDARD.parents[way[-1]])
         ancestor = STANDARD.parents[way[-1]]
-        if ancestor < 0:
-            continue
-        straight = scale * (body.rest[j] - body.rest[body.joints[STANDARD.names[ancestor]]]) @ correction[ancestor]
-        lengths = standing.offsets[way].norm(dim=-1)
-        shares = lengths / lengths.sum()
-        for joint, share in zip(way, shares, strict=True):
-            offsets[joint] = share * straight
+        if ancestor >= 0:
+            bone = scale * (body.rest[j] - body.rest[body.joints[STANDARD.names[ancestor]]]) @ correction[ancestor]
+            lengths = standing.offsets[way].norm(dim=-1, keepdim=True)
+            offsets[way] = lengths / lengths.sum() * bone
     return replace(standing, offsets=offsets)
+
+
+# ------------------------------------------------------------------------------------------------------- certificates
+@dataclass(frozen=True)
+class Certificate:
+    """What the way of recordings of one rig to the standard 22 joints and back costs.
+
+    rig: names and parents. file: the first recording. files: how many. joints: of the 22 that the rig has. source:
+    where its rest pose is taken from. place, angle: metres and degrees by which the body's joints are off, at the
+    95th percentile, in the worst recording. lost: joints that stand where one of the 22 is missing.
+    """
+
+    rig: tuple
+    file: str
+    files: int
+    joints: int
+    source: str
+    place: float
+    angle: float
+    lost: tuple[str, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing is lost and the way costs no more than ``PLACE`` and ``ANGLE``."""
+        return not self.lost and self.place <= PLACE and self.angle <= ANGLE
+
+
+def by_rig(certificates: Iterable[Certificate]) -> list[Certificate]:
+    """Returns the worst of every rig, in the order in which they come; rigs differ in names or tree."""
+    found: dict[object, Certificate] = {}
+    for row in certificates:
+        old = found.get(row.rig, replace(row, files=0))
+        place, angle = max(old.place, row.place), max(old.angle, row.angle)
+        found[row.rig] = replace(old, files=old.files + row.files, place=place, angle=angle)
+    return list(found.values())
+
+
+def certify(motion: Motion) -> Certificate:
+    """Certifies the rig of one recording (T frames).
+
+    Raises:
+        DataError: a skeleton whose joints are not known.
+    """
+    body, motion = match_joints(motion), motion.to(torch.float64)
+    skeleton = motion.skeleton
+    back = put_on(retarget(motion, floor=False, body=body).motion, skeleton, body)
+    lost = dropped_joints(skeleton, body.joints)
+    joints = {*body.joints.values(), *lost}
+    for j in range(len(skeleton) - 1, 0, -1):  # what carries the body belongs to it, fingers and faces do not
+        if j in joints and j != body.joints["pelvis"]:
+            joints.add(skeleton.parents[j])
+    joints = sorted(joints | {j for j, parent in enumerate(skeleton.parents) if parent in lost})
+    off = (back.positions - motion.positions).norm(dim=-1), rotation.geodesic(back.world[1], motion.world[1])
+    place, angle = (float(each[:, joints].flatten().quantile(0.95)) for each in (off[0], torch.rad2deg(off[1])))
+    lost, rig = tuple(skeleton.names[j] for j in lost), (skeleton.names, skeleton.parents)
+    return Certificate(rig, motion.name, 1, len(body.joints), body.source, place, angle, lost)

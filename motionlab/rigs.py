@@ -34,9 +34,10 @@ WORDS: dict[str, dict[str, str]] = {
     },
     "head": {"neck": "neck lowerneck necklower necktwist 首", "head": "head skull 頭 | face"},
 }
-#: What a skeleton has to have, or nobody can say how it stands.
-NEEDED = ("pelvis", *(f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")))
 _BOTH = ("left", "right")
+#: What a skeleton has to have, or nobody can say how it stands.
+NEEDED = ("pelvis", *(f"{side}_{part}" for side in _BOTH for part in ("hip", "knee", "ankle")))
+_LIMBS = (("left_", "leg"), ("left_", "arm"), ("right_", "leg"), ("right_", "arm"), ("", "head"))
 _ORDER = (
     "pelvis", *WORDS["head"], *(f"{side}_{part}" for limb in ("leg", "arm") for part in WORDS[limb] for side in _BOTH),
     "spine1", "spine2", "spine3",
@@ -54,7 +55,6 @@ _ALIKE = {"leg": ("thigh", "shin", "ankle"), "arm": ("upperarm", "forearm", "wri
 _PART = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[ぁ-ヶ一-龠ー]+")
 _COUNTS = {"collar": 0.9, "foot": 0.9}  # a lone shoulder is a shoulder, a lone foot an ankle
 _LISTED = 40  # names that are told of a file
-_SHARED = 6  # names that a prefix is common to
 _MOST = 8  # joints of one part to choose among, and words of a name to read: more are a jest
 
 
@@ -79,40 +79,32 @@ def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
     found = dict(_found(skeleton.names, skeleton.parents, tuple(fixed.items())))
     if "neck" not in found and "head" not in fixed and _turns_at_the_neck(skeleton, found):
         found = {"neck" if name == "head" else name: j for name, j in found.items()}
-    missing = [name for name in NEEDED if name not in found]
-    if missing:
+    if missing := [name for name in NEEDED if name not in found]:
         told = ", ".join(f"{name} = {skeleton.names[j]}" for name, j in found.items()) or "nothing"
         called, more = ", ".join(skeleton.names[:_LISTED]), len(skeleton) - _LISTED
         called += f" and {more} more" if more > 0 else ""
         blank = json.dumps({name: skeleton.names[found[name]] if name in found else "" for name in STANDARD.names})
-        raise DataError(
-            f"its joints are called {called}: found {told}; missing {', '.join(missing)}",
-            path=path,
-            place="joint names",
-            remedy="say what is what by names=, on the command line --names FILE.json, and leave out what the file "
-            f"lacks: {blank}",
-        )
+        remedy = "say what is what by names=, on the command line --names FILE.json, and leave out what the file lacks"
+        message = f"its joints are called {called}: found {told}; missing {', '.join(missing)}"
+        raise DataError(message, path=path, place="joint names", remedy=f"{remedy}: {blank}")
     return found
 
 
 def dropped_joints(skeleton: Skeleton, joints: dict[str, int]) -> list[int]:
     """Finds joints with others below them that stand where a standard joint is missing: what they do is lost."""
-    above = ancestors(skeleton.parents)
-    lost, known_ones = set(), set(joints.values())
-    top = next(joints[name] for name in ("spine3", "pelvis") if name in joints)
-    arms = [[f"{side}_{part}" for part in WORDS["arm"]] for side in _BOTH]
-    legs = [[f"{side}_{part}" for part in WORDS["leg"]] for side in _BOTH]
-    for chain in (*arms, ["neck", "head"], *legs):
+    above, lost, found = ancestors(skeleton.parents), set(), {*joints.values()}
+    for side, limb in _LIMBS:
+        chain = [f"{side}{part}" for part in WORDS[limb]]
         known = [(place, joints[name]) for place, name in enumerate(chain) if name in joints]
-        known = [(-1, joints["pelvis"] if chain in legs else top), *known]
+        known = [(-1, joints["pelvis"] if limb == "leg" else joints.get("spine3", joints["pelvis"])), *known]
         for (i, a), (k, b) in pairwise(known):
             lost |= {j for j in above[b] if a in above[j] and k > i + 1}
         end, last = known[-1]
         lost |= {j for j, path in enumerate(above) if -1 < end < len(chain) - 1 and last in path}
-        if end < 0 and chain not in legs:  # no arm or head has a name: what the trunk carries may be it
+        if end < 0 and limb != "leg":  # no arm or head has a name: what the trunk carries may be it
             trunk = {joints["pelvis"], *(joints[name] for name in joints if name.startswith("spine"))}
-            lost |= {j for j, path in enumerate(above) if next((k for k in path[::-1] if k in known_ones), -1) in trunk}
-    return sorted(lost & set(skeleton.parents) - known_ones)
+            lost |= {j for j, path in enumerate(above) if next((k for k in path[::-1] if k in found), -1) in trunk}
+    return sorted(lost & set(skeleton.parents) - found)
 
 
 def guessed_joints(skeleton: Skeleton, joints: dict[str, int]) -> dict[str, int]:
@@ -138,20 +130,18 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[
     found = dict(fixed)
     below = Counter(j for path in above for j in path)
     rank = {j: k for k, j in enumerate(sorted(range(len(names)), key=lambda j: (-below[j], names[j])))}
-    for side in ("left_", "right_", ""):
+    for side, limb in _LIMBS:
         words = [word if own == side.strip("_") else "" for own, word in said]
-        for limb in ("leg", "arm") if side else ("head",):
-            found |= _limb(limb, side, words, above, found, rank)
+        found |= _limb(limb, side, words, above, found, rank)
     found = _trunk(above, found) | found
     top = found.get("spine3", found.get("pelvis"))
     if "neck" not in found and "spine3" in found:  # a spine that goes on above the arms
         column = [j for j, (_, word) in enumerate(said) if word == said[top][1] and top in above[j]]
         if all(a in above[b] for a, b in pairwise(column)):
             found |= dict(zip(("neck", "head"), column[:1] + column[1:][-1:], strict=False))
-    for side in ("left", "right"):
-        found |= _between([f"{side}_{part}" for part in WORDS["leg"]], None, parents, above, found)
-        found |= _between([f"{side}_{part}" for part in WORDS["arm"]], top, parents, above, found)
-    found |= _between(["neck", "head"], top, parents, above, found)
+    for side, limb in _LIMBS:
+        chain = [f"{side}{part}" for part in WORDS[limb]]
+        found |= _between(chain, None if limb == "leg" else top, parents, above, found)
     return {name: found[name] for name in _ORDER if name in found}
 
 
@@ -176,7 +166,7 @@ def _read(names: Sequence[str]) -> list[tuple[str, str]]:
 
     prefixes = Counter(own[:k] for own in tokens for k in range(1, len(own)))
     suffixes = Counter(own[-k:] for own in tokens for k in range(1, len(own)))
-    shared = ([w for w, n in counted.items() if n >= _SHARED] for counted in (prefixes, suffixes))
+    shared = ([words for words, names in counted.items() if names >= 6] for counted in (prefixes, suffixes))
     ways = product(*([(), *sorted(words, key=lambda w: (len(w), w))] for words in shared))
 
     def sense(said: list[tuple[str, str]]) -> int:
@@ -205,11 +195,9 @@ def _sided(side: str | None, word: str) -> tuple[str, str]:
     """Splits a side off a word that is written in one, as lfemur, leftupleg, UPPERARML."""
     if side or word in _PARTS:
         return side or "", word
-    for mark in ("left", "right", "l", "r", "左", "右"):
-        for rest in (word.removeprefix(mark), word.removesuffix(mark)):
-            if rest != word and rest in _PARTS:
-                return _SIDES[mark], rest
-    return "", word
+    marks = ("left", "right", "l", "r", "左", "右")
+    ways = ((_SIDES[mark], rest) for mark in marks for rest in (word.removeprefix(mark), word.removesuffix(mark)))
+    return next(((side, rest) for side, rest in ways if rest in _PARTS), ("", word))  # the word itself is no part
 
 
 def ancestors(parents: Sequence[int]) -> list[tuple[int, ...]]:

@@ -17,8 +17,7 @@ FLOORS = """
     data_synth diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
         metrics retarget viz
     splits
-    certificate corpus diffusion.completer diffusion.denoising diffusion.model
-        diffusion.windows humor.cvae
+    corpus diffusion.completer diffusion.denoising diffusion.model diffusion.windows humor.cvae
     diffusion.inpainting diffusion.poses humor.energies humor.priors humor.transition
     bench humor.compiled humor.evidence humor.pretrained
     humor.rollout

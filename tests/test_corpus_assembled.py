@@ -58,8 +58,8 @@ def assemble(folder, **how):
 @pytest.fixture
 def loaded(monkeypatch):
     """Names of the files that were parsed, in their order."""
-    names, load = [], recordings.SUFFIXES[".bvh"]
-    monkeypatch.setitem(recordings.SUFFIXES, ".bvh", lambda path: (names.append(path.name), load(path))[1])
+    names, load = [], recordings.io.LOADERS[".bvh"]
+    monkeypatch.setitem(recordings.io.LOADERS, ".bvh", lambda path: (names.append(path.name), load(path))[1])
     return names
 
 
@@ -226,8 +226,8 @@ def test_a_kill_leaves_nothing_that_a_later_call_would_read(folder, tmp_path, mo
     stop = Mock(side_effect=KeyboardInterrupt)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         if where == "loader":
-            load = recordings.SUFFIXES[".bvh"]
-            patch.setitem(recordings.SUFFIXES, ".bvh", lambda path: stop() if "b" in path.stem else load(path))
+            load = recordings.io.LOADERS[".bvh"]
+            patch.setitem(recordings.io.LOADERS, ".bvh", lambda path: stop() if "b" in path.stem else load(path))
         elif where == "write":
             patch.setattr(checkpoint, "write_whole", half_written)
         else:

@@ -5,7 +5,7 @@ from walked import few_steps, table, walk, write_npz
 
 from motionlab.errors import DataError
 from motionlab.footage import fit, scene_fit, scene_report
-from motionlab.io import gltf_reading
+from motionlab.io import gltf
 from motionlab.observation import BODY_25
 
 FRAMES, DRAWS = 8, 3
@@ -36,7 +36,7 @@ def test_draws_are_in_the_files_the_film_and_the_report(tmp_path, monkeypatch):
     said = found["people"][0]["open"]
     assert any(line.startswith("left knee, 0.0 to 0.2 s: ") and line.endswith(" cm at 90 %") for line in said)
     assert said[0] in (out / "report.html").read_text() and "draws.glb" in found["files"]
-    motions = [gltf_reading.load(out / "draws.glb", person=k) for k in range(DRAWS)]
+    motions = [gltf.load(out / "draws.glb", person=k) for k in range(DRAWS)]
     assert all(motion.frames == FRAMES for motion in motions)
     places, hidden = drawn[0][0]
     assert places.shape == (DRAWS, FRAMES, 22, 2) and bool(hidden[:, 4].all())

@@ -233,7 +233,7 @@ WRONG = {  # name: (file, words of the message)
     "two ROOTs": (TEXT.replace("JOINT Leg", "ROOT Leg"), "line 15.*second ROOT"),
     "no MOTION": (TEXT.replace("MOTION\n", ""), "line 30.*expected JOINT"),
     "ends in the hierarchy": (cut("JOINT Leg"), "ends before MOTION"),
-    "ends after MOTION": (cut("Frames:"), "ends before 'Frame Time:'"),
+    "ends after MOTION": (cut("Frames:"), "ends before 'Frames:'"),
     "ends after Frames": (cut("Frame Time"), "ends before 'Frame Time:'"),
     "ends in a frame": (cut(" 30 -7 8"), "line 34.*expected 17 values, got 14"),
     "frames too few": (TEXT.replace("Frames: 2", "Frames: 4"), "line 31.*promises 4 frames, the file has 2"),

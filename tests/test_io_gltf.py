@@ -151,15 +151,6 @@ def test_a_bind_pose_taken_for_the_t_pose_would_show(tmp_path, body):
     assert np.abs(viewer_vertices(content, array, 7) @ WORLD_FROM_GLTF.T - ours).max() > 0.05
 
 
-def test_betas_shape_the_mesh_and_its_binding(tmp_path):
-    body, betas = capsule_body(0.045), torch.tensor([1.5, -1.0, 0.5])
-    motion = replace(spin(), skeleton=body.skeleton_for(betas))
-    gltf.save(tmp_path / "tall.glb", motion, body, betas=betas)
-    content, array = parse(tmp_path / "tall.glb")
-    ours = lbs(body, motion.skeleton, motion.root, motion.rot, betas)[4].numpy()
-    assert np.abs(viewer_vertices(content, array, 4) @ WORLD_FROM_GLTF.T - ours).max() < 1e-3
-
-
 def test_rules_of_gltf(written):
     content, array = parse(written)
     for view in content["bufferViews"]:
@@ -206,7 +197,7 @@ def test_several_people_stand_in_one_file_each_as_they_are(tmp_path, body):
     betas = torch.tensor([1.5, -1.0, 0.5])
     tall = replace(spin(13, 0.3), skeleton=replace(body.skeleton_for(betas), contact_names=("head",)), name="spin")
     path = tmp_path / "two.glb"
-    gltf.save(path, [spin(), tall], body, betas=[torch.zeros(3), betas])
+    gltf.save(path, [spin(), tall], body)
     content, _ = parse(path)
     for key in ("skins", "meshes"):
         assert len(content[key]) == 2
@@ -239,7 +230,6 @@ def test_people_who_do_not_fit_together_are_refused(tmp_path, body):
         ([], {}),
         ([spin(), replace(spin(), fps=25.0)], {}),
         ([spin()] * 2, {"names": ["one"]}),
-        ([spin()] * 2, {"betas": torch.zeros(3, 3)}),
     ):
         with pytest.raises(ShapeError):
             gltf.save(tmp_path / "a.glb", motions, body, **more)

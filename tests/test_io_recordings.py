@@ -30,7 +30,7 @@ def test_a_folder_of_ones_own_works(tmp_path):
         points = [float(v) for v in np.random.default_rng(n).uniform(1, 9, 54)]
         (deep / f"{n}.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": points}]}))
     (deep / "notes.txt").write_text("nothing")
-    found = list(recordings(tmp_path, video_fps=25))
+    found = list(recordings(tmp_path, reading={"fps": 25}))
     assert [(r.source, r.path.name) for r in found] == [
         ("mine", "take 1"), ("mine", "dance.npz"), ("mine", "poses.npz"), (tmp_path.name, "walk.bvh"),
     ]  # fmt: skip

@@ -10,13 +10,13 @@ import torch
 from rigs_made import FAMILIES, made
 from test_retarget import SIDES, assert_same, reframed, wild, without
 
-from motionlab import certificate, io, rotation
+from motionlab import io, rotation
 from motionlab.__main__ import main
 from motionlab.errors import DataError
 from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.rest import FIRST, MOVED, SQUARE, ZERO
-from motionlab.retarget import match_joints, put_on, retarget, with_rest
+from motionlab.retarget import certify, match_joints, put_on, retarget, with_rest
 from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
 
@@ -70,7 +70,7 @@ def test_every_family(generator, family):
     lift = torch.tensor([0.0, 0.0, found.floor], dtype=torch.float64)
     torch.testing.assert_close(found.motion.positions[:, at], rig.positions[:, own] + lift, atol=1e-6, rtol=0)
     torch.testing.assert_close(found.motion.world[1][:, at], rig.world[1][:, own], atol=1e-6, rtol=0)
-    row = certificate.certify(rig)
+    row = certify(rig)
     assert row.holds and row.joints == len(truth) and row.place < 1e-5 and row.angle < 1e-3
 
 
@@ -173,7 +173,7 @@ def test_a_joint_that_is_lost_is_said_aloud_and_counted(generator, tmp_path, cap
     assert abs(found.per_joint["lowerarm01.x"] - off) < 1e-6 and f"{off:.2f} m off" in lost
     assert found.residual > 0.01 > retarget(motion).residual  # negative control: with its elbow nothing is lost
     assert not any("LOST" in note for note in retarget(motion).notes)
-    row = certificate.certify(renamed(motion, **names))
+    row = certify(renamed(motion, **names))
     assert not row.holds and "lowerarm01.x" in row.lost and row.angle > 20
     bvh.save(tmp_path / "lost.bvh", renamed(motion, **names))
     assert main(["data", str(tmp_path), "--certify"]) == 1

@@ -21,7 +21,7 @@ from torch import Tensor
 from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
-from motionlab.io import amass, bvh, gltf, gltf_reading
+from motionlab.io import amass, bvh, gltf
 from motionlab.io.reading import Location, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
 from motionlab.rest import reframed
@@ -199,10 +199,10 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
 
 
 def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
-    content, blob = gltf_reading._chunks(at)
+    content, blob = gltf._chunks(at)
     data = bytearray(read_bytes(at))
     start = data.rindex(blob, 0) if blob else len(data)
-    found = gltf_reading._figure(at, content, blob, *_of_whom(at, content, loaded), None)
+    found = gltf._figure(at, content, blob, *_of_whom(at, content, loaded), None)
     index = found.skeleton.indices(loaded.skeleton.names)
     if len(found.times) != loaded.frames:
         raise at.error("read at other times than those of its keys", place="times")
@@ -217,7 +217,7 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     rigid = _averaged(loaded)
     new, first, at_frame = {}, {}, torch.arange(made.frames).clamp(max=loaded.frames - 1)
     for k, node in enumerate(nodes):
-        place, turn, size, _ = gltf_reading._local(at, content["nodes"][node], node, found.tracks, found.times)
+        place, turn, size, _ = gltf._local(at, content["nodes"][node], node, found.tracks, found.times)
         first |= {(node, "translation"): place[:1], (node, "scale"): size[None]}
         if k == 0:
             rot, root = _base(before, after, turn, place, scale)
@@ -281,7 +281,7 @@ def _of_whom(at: Location, content: dict, loaded: Motion) -> tuple[int, int | No
     said = [k for k in range(people) if any(note.startswith(f"person {k} of") for note in loaded.notes)]
     for person, number in product(said or range(people), range(animations)):
         with suppress(DataError):  # of others
-            one = gltf_reading.load(at.path, person=person, animation=number, translations="mean")
+            one = gltf.load(at.path, person=person, animation=number, translations="mean")
             if one.skeleton.names == loaded.skeleton.names and one.rot.shape == loaded.rot.shape:
                 if (one.rot[:, 1:] - loaded.rot[:, 1:].to(one.rot)).abs().max() < 1e-4:
                     return person, number
@@ -390,7 +390,7 @@ def _left_behind(source: str | Path | None) -> str:
     if source is None or Path(source).suffix.lower() not in (".glb", ".gltf"):
         return ""
     with reading(source) as at:
-        content = gltf_reading._chunks(at)[0]
+        content = gltf._chunks(at)[0]
     beside = {"meshes": (0, "the body"), "animations": (1, "the other animations"), "skins": (1, "the other people")}
     lost = [what for key, (least, what) in beside.items() if len(content.get(key) or ()) > least]
     verb = "is" if lost == ["the body"] else "are"

@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from motionlab import certificate, corpus, parallel
+from motionlab import corpus, parallel, retarget
 from motionlab.commands.motions import reading, say_note, text_table, with_roles
 from motionlab.errors import DataError, MissingData
 from motionlab.io import recordings
@@ -51,16 +51,16 @@ def _certify(place: Path, options: argparse.Namespace) -> int:
             motion = load(path)
             if isinstance(motion, Motion):  # what holds positions alone has no rig
                 noted[path] = motion.notes
-                found.append(certificate.certify(with_roles(motion, options)))
+                found.append(retarget.certify(with_roles(motion, options)))
         except DataError as error:
             failed.append(error)
-    rows = certificate.by_rig(found)
+    rows = retarget.by_rig(found)
     for guess in recordings.guesses(noted.items()):
         say_note(guess)
     shown = [{"first": row.file, "files": row.files, "joints": f"{row.joints} of 22", "rest pose": row.source,
               "cm": 100 * row.place, "degrees": row.angle, "lost": ", ".join(row.lost) or "-",
               "holds": "yes" if row.holds else "NO"} for row in rows]  # fmt: skip
-    most = f"at most {100 * certificate.PLACE:g} cm, {certificate.ANGLE:g} degrees"
+    most = f"at most {100 * retarget.PLACE:g} cm, {retarget.ANGLE:g} degrees"
     print(f"{text_table(shown)}\nthere and back, at the 95th percentile: {most}")
     return _failed("not certified", failed) or int(not all(row.holds for row in rows))
 

@@ -14,7 +14,7 @@ import torch
 from motionlab import humanml
 from motionlab.errors import DataError
 from motionlab.io import amass, asf, bvh, clips, gltf, judging, points
-from motionlab.io.judging import Axes, Unit
+from motionlab.io.judging import Axes, Fps, Unit
 from motionlab.io.pickles import first_object
 from motionlab.io.points import Positions
 from motionlab.io.reading import checked_array, frame_rate, read_bytes, read_npy, reading
@@ -29,8 +29,15 @@ NPZ_LAYOUTS: dict[str, Callable] = {
 }
 
 
-def _npz_loader(path: str | Path) -> Callable:
-    """The loader whose keys the file has."""
+def load_npz(path: str | Path, **options) -> Motion | Positions:
+    """Reads an AMASS, AMP or AniDance npz; options go to that loader."""
+    return _loader(load_npz, path)(path, **options)
+
+
+def _loader(loader: Callable, path: str | Path) -> Callable:
+    """The loader itself; of an npz that whose keys the file has."""
+    if loader is not load_npz:
+        return loader
     with reading(path, f"save one of the keys {', '.join(NPZ_LAYOUTS)}") as at:
         with zipfile.ZipFile(at.path) as archive:
             keys = {name.removesuffix(".npy") for name in archive.namelist()}
@@ -40,19 +47,8 @@ def _npz_loader(path: str | Path) -> Callable:
         return found[0]
 
 
-def load_npz(path: str | Path, **options) -> Motion | Positions:
-    """Reads an AMASS, AMP or AniDance npz; options go to that loader."""
-    return _npz_loader(path)(path, **options)
-
-
 def load_npy(
-    path: str | Path,
-    *,
-    person: int = 0,
-    unit: Unit = None,
-    up: Axes = None,
-    axes: Axes = None,
-    fps: float | None = None,
+    path: str | Path, *, person: int = 0, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None
 ) -> Motion:
     """Reads a .npy: HumanML3D's joints (T, 22, 3) or 263 numbers a frame, at 20 frames per second and y up unless they
     or the caller tell otherwise; of one that holds an object, see :func:`motionlab.io.amass.load`.
@@ -65,11 +61,12 @@ def load_npy(
         array = read_npy(at, read_bytes(at), first_object)
         if not isinstance(array, np.ndarray):
             return amass.load(path, person=person, up=up, axes=axes, fps=fps)
-        shape = f"T {humanml.SIZE}" if array.ndim == 2 and array.shape[1] == humanml.SIZE else f"T {humanml.JOINTS} 3"
+        shape = f"T {humanml.SIZE}" if array.shape[1:] == (humanml.SIZE,) else f"T {humanml.JOINTS} 3"
         joints = torch.from_numpy(checked_array(at, array, shape, "array", 1e6))
-        if joints.ndim == 2 and not -0.5 < joints[:, -4:].min() <= joints[:, -4:].max() < 1.5:  # feet that stand
-            raise at.error("numbers that are normalised", place="array", remedy="multiply by std, and add mean")
-        joints = humanml.joints_of(joints) if joints.ndim == 2 else joints
+        if joints.ndim == 2:
+            if not -0.5 < joints[:, -4:].min() <= joints[:, -4:].max() < 1.5:  # feet that stand
+                raise at.error("numbers that are normalised", place="array", remedy="multiply by std, and add mean")
+            joints = humanml.joints_of(joints)
         rate = humanml.FPS if fps is None else frame_rate(at, fps, "fps")
         motion = humanml.motion_of(joints, rate, at.path.stem)
         if not looks_ahead(motion, {name: j for j, name in enumerate(motion.skeleton.names)}):
@@ -99,13 +96,12 @@ _NOT_ONE_FILE = {
     ".asf": "name the .amc: the .asf is found beside it",
     ".bin": "the numbers of a .gltf, which reads them",
     "": "a folder of OpenPose frames is read with motionlab.io.keypoints.load_person",
+    **dict.fromkeys((".json", ".txt"), "neither frames of OpenPose nor of DeepMimic"),
 }
 
 
 def why_not(suffix: str) -> str:
     """Says what to do about a file that no loader reads, by its suffix."""
-    if suffix in (".json", ".txt"):
-        return "neither frames of OpenPose nor of DeepMimic"
     return _NOT_ONE_FILE.get(suffix, f"one of {', '.join(sorted(LOADERS))}")
 
 
@@ -115,10 +111,9 @@ def guided(loader: Callable, path: str | Path, options: dict[str, object], *, st
     Raises:
         DataError: the file is at fault, or (strict) an option is not for its format.
     """
-    loader = _npz_loader(path) if loader is load_npz else loader
+    loader = _loader(loader, path)
     known = inspect.signature(loader).parameters
-    surplus = [name for name in options if name not in known]
-    if surplus and strict:
+    if strict and (surplus := [name for name in options if name not in known]):
         words = ", ".join(f"--{name.replace('fps', 'fps-in')}" for name in surplus)
         raise DataError("the file says this of itself", path=path, place=words, remedy=f"leave out {words}")
     return loader(path, **{name: value for name, value in options.items() if name in known})
@@ -136,7 +131,7 @@ def load(path: str | Path, **options) -> Motion:
         raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=why_not(suffix))
     motion = guided(LOADERS[suffix], path, options, strict=True)
     if not isinstance(motion, Motion):
-        loader = _npz_loader(path) if suffix == ".npz" else LOADERS[suffix]
+        loader = _loader(LOADERS[suffix], path)
         remedy = "solve a skeleton where it was recorded, and export BVH; motionlab data FILE says what it holds, "
         remedy += f"{loader.__module__}.{loader.__name__} reads it"
         raise DataError("holds positions without rotations", path=path, remedy=remedy)

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import ShapeError, check_shape
+from motionlab.errors import check_shape
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import Axes
+from motionlab.io.judging import Axes, Fps
 from motionlab.io.pickles import array_of, arrays_of, read_pickle
 from motionlab.io.reading import Location, check_writable, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion
@@ -23,8 +23,6 @@ from motionlab.skeleton import STANDARD
 
 #: Joints of a model -> its name. All begin with the same 22: root and 21 body joints.
 MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
-#: Columns after the 22 body joints: SMPL's two hands as one joint each; fingers; jaw, eyes and fingers.
-EXTRA = {"smpl": 6, "smplh": 90, "smplx": 99}
 #: Keys of poses, whole or split, of translations and of frame rates; what is in the world before what is in a camera.
 POSES = ("pose_world", "poses", "smpl_poses", "pose", "fullpose", "pred_rotmat")
 ROOT, PARTS = ("root_orient", "global_orient", "poses_root"), ("pose_body", "body_pose", "poses_body")
@@ -32,8 +30,6 @@ TRANS = ("trans_world", "trans", "transl", "smpl_trans", "translation", "pred_tr
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps", "frame_rate", "framerate")
 _KEYS = (*POSES, *ROOT, *PARTS, *TRANS, *RATES, "contacts", "smpl_scaling", "frame_ids")
 BODY = len(STANDARD)
-#: Radians; a larger angle is a damaged number, and float64 has no digits left for its rotation.
-LARGEST_ANGLE = 1e4
 #: Keys that tell a system: its name, what is up in its world, and its usual frame rate.
 _SYSTEMS = {
     "smpl_params_global": ("GVHMR", "y", 30.0), "pose_world": ("WHAM", "y", 30.0), "pred_rotmat": ("TRAM", "-y", 30.0),
@@ -43,16 +39,13 @@ _OF_FRAME = ("tid", "smpl", "camera", "tracked_time")  # lists of PHALP's: a num
 #: Columns a joint, over three, of which there are twice as many: 6-D rotations.
 _DOUBLE = {2 * joints for joints in (BODY - 1, BODY, BODY + 1, *MODELS)}
 _FASTEST, _FARTHEST = 30.0, 30.0  # metres a second, and from the origin: more are hardly a person's
-_REMEDY = 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"'
 
 
 def _arrays(at: Location, person: int) -> tuple[dict[str, np.ndarray], tuple[str, str, float | None]]:
     """The arrays of one body that are known, and of which system: its name, up axis and usual rate."""
     data = read_bytes(at)
-    if data[:2] == b"PK" and b"data.pkl" not in data[:200]:  # torch's archives begin with it
-        tree = read_npz(at, _KEYS)
-    else:
-        tree = read_pickle(at, data)
+    plain = data[:2] == b"PK" and b"data.pkl" not in data[:200]  # torch's archives begin with it
+    tree = read_npz(at, _KEYS) if plain else read_pickle(at, data)
     bodies = _bodies(_by_person(at, tree))
     in_world = [(way, body) for way, body in bodies if "cam" not in way]
     keys = {key for way, body in bodies for key in (*way.split(), *body)}
@@ -121,8 +114,7 @@ def _turns(at: Location, arrays: dict[str, np.ndarray]) -> np.ndarray:
     turns = np.concatenate(turns, axis=1)
     angles = np.linalg.norm(turns, axis=-1)
     if angles.any() and np.quantile(angles[angles > 0], 0.75) > 2 * np.pi:
-        message = f"angles of {np.median(angles[angles > 0]):.3g} on the whole: these are degrees"
-        raise at.error(message, place=", ".join(keys), remedy="convert them to radians (numpy.deg2rad)")
+        raise at.error("these are degrees", place=", ".join(keys), remedy="convert them to radians (numpy.deg2rad)")
     if turns.shape[1] < BODY:
         raise at.error(f"expected {3 * BODY} columns or more, got {3 * turns.shape[1]}", place=keys[-1])
     return turns
@@ -130,11 +122,11 @@ def _turns(at: Location, arrays: dict[str, np.ndarray]) -> np.ndarray:
 
 def _axis_angles(at: Location, array: np.ndarray, key: str) -> np.ndarray:
     """Axis-angle (T, J, 3) of (T, 3J), of (T, J, 3), or of matrices (T, J, 3, 3)."""
-    array = checked_array(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, LARGEST_ANGLE)
+    # a larger angle than 1e4 is a damaged number, and float64 has no digits left for its rotation
+    array = checked_array(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, 1e4)
     if array.shape[-2:] != (3, 3) or (array.ndim == 3 and key not in ROOT):
         if array[0].size % 3 or array[0].size // 3 in _DOUBLE:
-            message = f"expected 3 columns for each joint, got {array.shape}"
-            raise at.error(message, place=key, remedy="convert quaternions or 6-D rotations to axis-angle")
+            raise at.error(f"expected axis-angle, got {array.shape}", place=key, remedy="convert quaternions or 6-D")
         return array.reshape(len(array), -1, 3)
     matrix = torch.from_numpy(array.reshape(len(array), -1, 3, 3))
     if not (matrix.mT @ matrix - torch.eye(3)).abs().max() < 0.1 or not (torch.linalg.det(matrix) > 0).all():
@@ -144,15 +136,14 @@ def _axis_angles(at: Location, array: np.ndarray, key: str) -> np.ndarray:
 
 def _rate(at: Location, arrays: dict[str, np.ndarray], system: str, usual: float | None) -> float:
     rates = {key: frame_rate(at, arrays[key], key, judging.SAY_RATE) for key in RATES if key in arrays}
-    if not rates and usual is not None:
-        at.notes.append(f"{system} keeps no frame rate: taken as {usual:g}; {judging.SAY_RATE}")
-        return usual
-    if not rates:
+    if not rates and usual is None:
         raise at.error("the frame rate is missing", place=" / ".join(RATES), remedy=judging.SAY_RATE)
+    if not rates:
+        at.notes.append(f"{system} keeps no frame rate: taken as {usual:g}; {judging.SAY_RATE}")
     if len(set(rates.values())) > 1:
         said = ", ".join(f"{rate:g}" for rate in rates.values())
         raise at.error(f"the frame rates disagree: {said}", place=", ".join(rates), remedy="keep the key that is right")
-    return next(iter(rates.values()))
+    return next(iter(rates.values()), usual)
 
 
 def load(
@@ -162,7 +153,7 @@ def load(
     person: int = 0,
     up: Axes = None,
     axes: Axes = None,
-    fps: float | None = None,
+    fps: Fps = None,
 ) -> Motion:
     """Reads the body of a file as a Motion on 22 joints; hands, jaw and eyes are left out, shapes are not read.
 
@@ -182,7 +173,7 @@ def load(
         ShapeError: pelvis_offset is not (3,).
     """
     judging.check_given(None, up, axes)
-    with reading(path, _REMEDY) as at:
+    with reading(path, 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"') as at:
         arrays, (system, says_up, usual) = _arrays(at, person)
         turns = _turns(at, arrays)
         frames, joints = turns.shape[:2]
@@ -193,10 +184,9 @@ def load(
         trans = checked_array(at, trans, f"{frames} 3", key)
         if "smpl_scaling" in arrays:
             trans = trans / checked_array(at, arrays["smpl_scaling"].reshape(-1), "1", "smpl_scaling")
-        ids = arrays.get("frame_ids", np.zeros(0))
+        ids, contacts = arrays.get("frame_ids", np.zeros(0)), None
         if ids.size == frames > 1 and (np.diff(ids.ravel().astype(float)) != 1).any():
             at.notes.append("frames are missing in between, which the file joins: see its frame_ids")
-        contacts = None
         if "contacts" in arrays:  # not AMASS's own, HuMoR and we add it
             contacts = checked_array(at, arrays["contacts"], f"{frames} {len(STANDARD.contact_names)}", "contacts")
             contacts = torch.from_numpy(contacts).float()
@@ -218,34 +208,24 @@ def load(
         return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)
 
 
-def save(
-    path: str | Path,
-    motion: Motion,
-    *,
-    pelvis_offset: Tensor | None = None,
-    betas: Tensor | None = None,
-    model: str = "smplh",
-) -> None:
+def save(path: str | Path, motion: Motion, *, pelvis_offset: Tensor | None = None) -> None:
     """Writes a motion on SMPL's 22 joints as an AMASS npz that ``load`` with the same offset gives back exactly.
 
-    trans = root - pelvis_offset; joints that the model adds are zero; contacts are kept under ``contacts``.
+    trans = root - pelvis_offset; the hands of SMPL+H and the betas are zero; contacts are kept under ``contacts``.
 
     Raises:
-        ShapeError: batch axes, no frames, not 22 joints, or a model not in ``EXTRA``.
+        ShapeError: batch axes, no frames, or not 22 joints.
         DataError: NaN or infinity, or the file cannot be written.
     """
     check_writable(path, motion)
     offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
     check_shape(offset, "3", "pelvis_offset")
     check_shape(motion.rot, f"T {BODY} 3 3", "rot")
-    if model not in EXTRA:
-        raise ShapeError(f"model: expected one of {', '.join(EXTRA)}, got {model!r}")
     turns = rotation.matrix_to_axis_angle(motion.rot.double()).flatten(-2)
-    poses = torch.cat((turns, turns.new_zeros(len(turns), EXTRA[model])), -1)
     content = {
-        "poses": poses.cpu().numpy(),
+        "poses": torch.nn.functional.pad(turns, (0, 3 * (52 - BODY))).cpu().numpy(),
         "trans": (motion.root.double().cpu() - offset.double().cpu()).numpy(),
-        "betas": np.zeros(16) if betas is None else betas.double().cpu().numpy(),
+        "betas": np.zeros(16),
         "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(motion.fps)),
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,14 +13,12 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import DataError
-from motionlab.io.judging import UNITS
-from motionlab.io.reading import Location, floats, frame_rate, read_text, reading
+from motionlab.io.judging import UNITS, Fps, Unit
+from motionlab.io.reading import Location, floats, frame_rate, read_text, reading, text_lines
 from motionlab.motion import Motion
 from motionlab.skeleton import UPRIGHT, Skeleton
 
-#: CMU's recordings are at 120 frames per second; the files do not say so.
-_CMU_FPS = 120.0
-_INCH = 0.0254
+_CMU_FPS = 120.0  # of CMU's recordings; the files do not say so
 
 
 @dataclass
@@ -26,16 +26,16 @@ class _Bone:
     """One bone as the file gives it: unit direction, length in file units, axis frame, degrees of freedom, the bones
     at its end; of the root also where it stands."""
 
-    direction: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    direction: Sequence[float] = (0.0, 0.0, 0.0)
     length: float = 0.0
-    axis: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    axis: Sequence[float] = (0.0, 0.0, 0.0)
     axis_order: str = "XYZ"
-    dof: list[str] = field(default_factory=list)
-    position: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    dof: Sequence[str] = ()
+    position: Sequence[float] = (0.0, 0.0, 0.0)
     children: list[str] = field(default_factory=list)
 
 
-def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: float | None = None) -> Motion:
+def load(asf: str | Path, amc: str | Path, *, fps: Fps = None, unit: float | None = None) -> Motion:
     """Reads a skeleton and one take: metres, z up, the skeleton of the ASF.
 
     A joint carries the name of the bone that starts there; where a bone has no child its far end is a
@@ -43,9 +43,8 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
     applied in the order written about fixed axes, the rotation against the parent is C M C^T: bones and
     their offsets are given in the world's axes of the rest pose (x left, y up, z forward).
 
-    Args:
-        fps: frames per second; None: 120, CMU's rate, which is noted.
-        unit: metres per unit of length; None: 1 / ``length`` inches, CMU's convention (1/0.45 inch), noted.
+    fps: frames per second; None: 120, CMU's rate, which is noted. unit: metres per unit of length; None: 1 / ``length``
+    inches, CMU's convention (1/0.45 inch), noted.
 
     Source: Acclaim ASF/AMC format, as used by mocap.cs.cmu.edu.
     Raises:
@@ -55,7 +54,7 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
     with reading(asf, "take the .asf of the subject again") as at:
         bones, length, asf_degrees = _parse_asf(at, read_text(at))
         if unit is None:
-            unit = _INCH / length
+            unit = UNITS["inch"] / length
             notes.append(f"the file names no unit: taken as 1/{length:g} inch = {unit:.5f} m, as CMU does")
         skeleton = _skeleton(bones, unit)
     with reading(amc, "take the .amc of the take again, with the .asf of the same subject") as at:
@@ -74,9 +73,7 @@ def load(asf: str | Path, amc: str | Path, *, fps: float | None = None, unit: fl
         return Motion(skeleton, root.float(), rot.float(), fps, name=at.path.stem, notes=tuple(notes))
 
 
-def load_beside(
-    amc: str | Path, *, asf: str | Path | None = None, fps: float | None = None, unit: str | float | None = None
-) -> Motion:
+def load_beside(amc: str | Path, *, asf: str | Path | None = None, fps: Fps = None, unit: Unit = None) -> Motion:
     """Reads an .amc with the .asf beside it whose name its own begins with, the longest: 02.asf for 02_01.amc, and
     HDM_bd.asf for HDM_bd_walk.amc.
 
@@ -88,10 +85,9 @@ def load_beside(
         names = [path for path in amc.parent.iterdir() if path.suffix.lower() == ".asf"]
         fits = [path for path in names if amc.stem.lower().startswith(path.stem.lower())]
         if not fits:
+            what, path = "no skeleton file that is called as the .amc begins", f"{amc.stem.split('_')[0]}.asf"
             remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
-            missing = amc.with_name(f"{amc.stem.split('_')[0]}.asf")
-            what = "no skeleton file that is called as the .amc begins"
-            raise DataError(what, path=missing, remedy=remedy, place=amc.name)
+            raise DataError(what, path=amc.with_name(path), remedy=remedy, place=amc.name)
         asf = max(fits, key=lambda path: len(path.stem))
     return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS[unit] if unit in UNITS else unit)
 
@@ -101,7 +97,7 @@ def _turn(bone: _Bone, values: np.ndarray, degrees: bool, axis_degrees: bool) ->
     turning = [k for k, dof in enumerate(bone.dof) if dof[0] == "r"][::-1]
     angles = torch.from_numpy(values[:, turning] * (np.pi / 180 if degrees else 1.0))
     turn = rotation.euler_to_matrix(angles, "".join(bone.dof[k][1] for k in turning).upper())
-    axis = torch.tensor(bone.axis[::-1], dtype=torch.float64)
+    axis = torch.tensor(bone.axis, dtype=torch.float64).flip(0)
     frame = rotation.euler_to_matrix(torch.deg2rad(axis) if axis_degrees else axis, bone.axis_order[::-1])
     return frame @ turn @ frame.mT
 
@@ -123,122 +119,99 @@ def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
 
 def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
     """The bones by name, "root" first, the unit of length, and whether angles are degrees."""
-    sections: dict[str, list[tuple[int, list[str]]]] = {}  # lines as words under their :keyword, with line numbers
-    current = None
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.partition("#")[0].split()
-        if words and words[0].startswith(":"):
-            current = sections.setdefault(words[0][1:].lower(), [])
-            words = words[1:]
-        if words and current is not None:
-            current.append((number, words))
-    missing = [key for key in ("units", "root", "bonedata", "hierarchy") if not sections.get(key)]
-    if missing:
+    bones = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}
+    units, placed, said, section, bone, name = {}, {"root"}, set(), "", None, ""
+    for key, *words in map(str.split, text_lines(at, re.sub("#.*", "", text))):
+        if key[0] == ":":
+            if bone is not None:
+                raise at.error(f"bone {name} has no end: the file is truncated")
+            section, (key, *words) = key[1:].lower(), words or [""]
+        said |= {section} if key else set()
+        if section == "units":
+            units[key.lower()] = words
+        elif section == "root":
+            _tell(at, bones["root"], key, words)
+        elif section == "hierarchy" and key not in ("", "begin", "end"):
+            _hang(at, bones, placed, key, words)
+        elif section == "bonedata" and key:
+            if bone is None and key != "begin":
+                raise at.error(f"expected begin, got {key!r}")
+            if key == "begin":
+                if bone is not None:
+                    raise at.error("begin inside a bone that has no end")
+                bone, name = _Bone(), ""
+            elif key == "end":
+                if not name or name in bones:
+                    raise at.error(f"a second bone named {name!r}" if name else "a bone without a name")
+                bones[name], bone = bone, None
+            elif key == "name":
+                name = " ".join(words)
+            else:
+                _tell(at, bone, key, words)
+    if missing := [key for key in ("units", "root", "bonedata", "hierarchy") if key not in said]:
         raise at.error(f"no section :{', :'.join(missing)}: truncated, or no ASF")
-    units = {words[0].lower(): words[1:] for _, words in sections["units"]}
+    if lost := [name for name in bones if name not in placed]:
+        raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
     at.place = "section :units"
     (length,) = floats(at, units.get("length", []), 1).tolist()
     if not 1e-6 < length < 1e6 or units.get("angle") not in (["deg"], ["rad"]):
         raise at.error("expected 'length' above zero (1e-6 to 1e6) and 'angle deg' or 'angle rad'")
-    bones = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}
-    for number, (key, *words) in sections["root"]:
-        at.place = f"line {number}"
-        if key in ("order", "axis", "position", "orientation"):
-            _tell(at, bones["root"], "root axis" if key == "axis" else key, words)
-    bones |= _bones(at, sections["bonedata"])
-    _hierarchy(at, sections["hierarchy"], bones)
     at.place = ""
     return bones, length, units["angle"] == ["deg"]
 
 
 def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
-    """Takes what a line says of a bone or of the root."""
-    if key == "direction":
-        bone.direction = floats(at, words, 3).tolist()
-    elif key == "position":
-        bone.position = floats(at, words, 3).tolist()
+    """Takes what a line says of a bone or of the root, which moves and has the numbers of its axis elsewhere."""
+    if key in ("direction", "position"):
+        setattr(bone, key, floats(at, words, 3).tolist())
     elif key == "orientation":
         bone.axis = floats(at, words, 3).tolist()
     elif key == "length":
         (bone.length,) = floats(at, words, 1).tolist()
-    elif key in ("axis", "root axis"):
-        if key == "axis":
+    elif key == "axis":
+        if "tx" not in bone.dof:
             bone.axis, words = floats(at, words[:3], 3).tolist(), words[3:]
         bone.axis_order = "".join(words).upper()
         if sorted(bone.axis_order) != ["X", "Y", "Z"]:
             raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
     elif key in ("dof", "order"):
+        free = [f"{kind}{axis}" for kind in ("tr" if key == "order" else "r") for axis in "xyz"]
         bone.dof = [word.lower() for word in words]
-        if key == "order" and sorted(bone.dof) != ["rx", "ry", "rz", "tx", "ty", "tz"]:
-            raise at.error(f"order must name TX TY TZ RX RY RZ once each, got {' '.join(words)}")
-        if key == "dof" and (not set(bone.dof) <= {"rx", "ry", "rz"} or len(set(bone.dof)) != len(bone.dof)):
-            raise at.error(f"degrees of freedom must be different ones of rx ry rz, got {' '.join(words)}")
+        if len({*free} & {*bone.dof}) != len(bone.dof) or (key == "order" and len(bone.dof) < len(free)):
+            which = "each" if key == "order" else "some"
+            raise at.error(f"degrees of freedom must be {which} of {' '.join(free)}, once, got {' '.join(words)}")
 
 
-def _bones(at: Location, lines: list[tuple[int, list[str]]]) -> dict[str, _Bone]:
-    bones: dict[str, _Bone] = {}
-    bone, name = None, ""
-    for number, (key, *words) in lines:
-        at.place = f"line {number}"
-        if key == "begin":
-            if bone is not None:
-                raise at.error("begin inside a bone that has no end")
-            bone, name = _Bone(), ""
-        elif bone is None:
-            raise at.error(f"expected begin, got {key!r}")
-        elif key == "end":
-            if not name or name in bones or name == "root":
-                raise at.error(f"a second bone named {name!r}" if name else "a bone without a name")
-            bones[name], bone = bone, None
-        elif key == "name":
-            name = " ".join(words)
-        elif key in ("direction", "length", "axis", "dof"):
-            _tell(at, bone, key, words)
-    if bone is not None:
-        raise at.error(f"bone {name} has no end: the file is truncated")
-    return bones
-
-
-def _hierarchy(at: Location, lines: list[tuple[int, list[str]]], bones: dict[str, _Bone]) -> None:
-    placed = {"root"}
-    for number, words in lines:
-        at.place = f"line {number}"
-        if words in (["begin"], ["end"]):
-            continue
-        parent, *below = words
-        for name in words:
-            if name not in bones:
-                raise at.error(f"bone {name!r} is not in :bonedata")
-        if parent not in placed:
-            raise at.error(f"{parent} has children before it has a parent")
-        for name in below:
-            if name in placed:
-                raise at.error(f"{name} has two parents")
-            placed.add(name)
-            bones[parent].children.append(name)
-    lost = [name for name in bones if name not in placed]
-    if lost:
-        raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
+def _hang(at: Location, bones: dict[str, _Bone], placed: set[str], parent: str, below: list[str]) -> None:
+    """Takes a line of the hierarchy: the bones below one that is placed already."""
+    for name in (parent, *below):
+        if name not in bones:
+            raise at.error(f"bone {name!r} is not in :bonedata")
+    if parent not in placed:
+        raise at.error(f"{parent} has children before it has a parent")
+    for name in below:
+        if name in placed:
+            raise at.error(f"{name} has two parents")
+        placed.add(name)
+        bones[parent].children.append(name)
 
 
 def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) -> tuple[bool, dict[str, np.ndarray]]:
     """Whether angles are degrees, and the values (T, D) of every bone that has degrees of freedom."""
     widths = {name: len(bone.dof) for name, bone in bones.items() if bone.dof}
-    frames, lines = [], []
-    for number, line in enumerate(text.splitlines(), start=1):
-        at.place, words = f"line {number}", line.split()
-        if not words or words[0][0] == "#":
-            continue
-        name, *values = words
+    frames, places = [], []
+    for name, *values in map(str.split, text_lines(at, text)):
         if name[0] == ":":
             degrees = {":DEGREES": True, ":RADIANS": False}.get(name.upper(), degrees)
         elif not values and name.isdigit():
             if int(name) != len(frames) + 1:
                 raise at.error(f"frame {name} follows frame {len(frames)}")
             frames.append({})
-            lines.append(number)
+            places.append(at.place)
+        elif name[0] == "#":
+            continue
         elif not frames:
-            raise at.error(f"expected frame number 1, got {line.strip()[:40]!r}")
+            raise at.error(f"expected frame number 1, got {name[:40]!r}")
         elif name in frames[-1]:
             raise at.error(f"{name} twice in one frame")
         elif len(values) != widths.get(name):
@@ -246,10 +219,9 @@ def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) 
         else:
             frames[-1][name] = values
     if not frames:
-        raise at.error("no frames: truncated, or no AMC", place="")
+        raise at.error("no frames: truncated, or no AMC")
     rows = []
-    for frame, number in zip(frames, lines, strict=True):
-        at.place = f"line {number}"
+    for frame, at.place in zip(frames, places, strict=True):
         if missing := [name for name in widths if name not in frame]:
             raise at.error(f"frame without {', '.join(missing)}: truncated")
         rows.append(floats(at, [value for name in widths for value in frame[name]], sum(widths.values())))

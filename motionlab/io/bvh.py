@@ -7,7 +7,7 @@ recording and written into ``Motion.notes``, together with everything else that 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,8 +18,8 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import AXES, UNITS, Axes, Unit, rerooted
-from motionlab.io.reading import RATES, Location, check_writable, floats, frame_rate, read_text, reading
+from motionlab.io.judging import AXES, UNITS, Axes, Fps, Unit, rerooted
+from motionlab.io.reading import RATES, Location, check_writable, floats, frame_rate, read_text, reading, text_lines
 from motionlab.motion import Motion
 from motionlab.skeleton import Skeleton
 
@@ -27,7 +27,7 @@ from motionlab.skeleton import Skeleton
 #: other way to say how long a hand is, and Blender makes bones of no length as long as it likes. The golden section,
 #: six digits of it: no measured or designed End Site is just that, so that ours are known again.
 TIP = 0.618034
-_REMEDY = "export the BVH again, or repair the line"
+_CHANNELS = [f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotation")]
 
 
 def load(
@@ -36,7 +36,7 @@ def load(
     unit: Unit = None,
     up: Axes = None,
     axes: Axes = None,
-    fps: float | None = None,
+    fps: Fps = None,
     translations: str = "strict",
 ) -> Motion:
     """Reads a BVH file: metres, z up, the file's own skeleton and rest pose.
@@ -60,7 +60,7 @@ def load(
     judging.check_given(unit, up, axes)
     if translations not in ("strict", "mean"):
         raise ValueError(f"expected translations 'strict' or 'mean', got {translations!r}")
-    with reading(path, _REMEDY) as at:
+    with reading(path, "export the BVH again, or repair the line") as at:
         joints, values, rate = _parse(at, read_text(at), fps)
         place, rot, relative = _local(joints, values)
         if relative:
@@ -69,8 +69,8 @@ def load(
         row = {i: k for k, i in enumerate(kept)} | {-1: -1}
         offsets = torch.tensor([joints[i].offset for i in kept], dtype=torch.float64)
         skeleton = Skeleton(tuple(joints[i].name for i in kept), tuple(row[joints[i].parent] for i in kept), offsets)
-        lines = [f"line {joints[i].line}" for i in kept]
-        _, skeleton, root, rot = rerooted(at, skeleton, place[:, kept], rot[:, kept], translations, lines)
+        where = [joints[i].place for i in kept]
+        _, skeleton, root, rot = rerooted(at, skeleton, place[:, kept], rot[:, kept], translations, where)
         motion = Motion(skeleton, root, rot, rate, name=at.path.stem, notes=tuple(at.notes))
         return judging.to_world(at, motion, unit=unit, up=up, axes=axes)
 
@@ -83,9 +83,8 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
     ``<parent>_end`` that never turn become End Sites; other leaf joints get one of ``TIP`` of their bone.
     The file appears whole or not at all.
 
-    Args:
-        order: of the three rotation channels, applied left to right (intrinsic).
-        unit, up: as in :func:`load`; a rest pose that faces +z in the rest frame faces +z in a y-up file.
+    order: of the three rotation channels, applied left to right (intrinsic). unit, up: as in :func:`load`; a rest pose
+    that faces +z in the rest frame faces +z in a y-up file.
 
     Raises:
         ShapeError: the motion has batch axes or no frames.
@@ -100,8 +99,8 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
     motion = motion.to(torch.float64)
     skeleton, names, world = motion.skeleton, motion.skeleton.names, judging.axes_to_matrix(AXES[up])
     rest = (motion.rot - torch.eye(3).double()).abs().amax((0, 2, 3)) < 1e-6
-    leaves = [j for j in range(1, len(names)) if j not in skeleton.parents and rest[j]]
-    ends = {j for j in leaves if names[j] == f"{names[skeleton.parents[j]]}_end"}
+    leaves = {*range(1, len(names))} - {*skeleton.parents}
+    ends = {j for j in leaves if rest[j] and names[j] == f"{names[skeleton.parents[j]]}_end"}
     rot = motion.rot.clone()
     rot[:, 0] = world.T @ rot[:, 0]
     text, turning = _hierarchy_text(skeleton, scale, order, ends)
@@ -118,22 +117,21 @@ class _Joint:
 
     name: str
     parent: int
-    line: int
+    place: str
     offset: list[float] | None = None
-    channels: list[str] = field(default_factory=list)
-    first: int = 0  # the column of its first channel
+    channels: dict[str, int] = field(default_factory=dict)  # with their columns
     is_end: bool = False
 
     @property
     def moves(self) -> dict[int, int]:
         """Axis -> column of each position channel."""
-        return {"xyz".index(c[0]): k for k, c in enumerate(self.channels, self.first) if c.endswith("position")}
+        return {"xyz".index(channel[0]): k for channel, k in self.channels.items() if channel.endswith("position")}
 
     @property
     def turns(self) -> tuple[str, list[int]]:
         """Order and columns of the rotation channels."""
-        columns = [k for k, c in enumerate(self.channels, self.first) if c.endswith("rotation")]
-        return "".join(self.channels[k - self.first][0].upper() for k in columns), columns
+        turning = {channel[0].upper(): k for channel, k in self.channels.items() if channel.endswith("rotation")}
+        return "".join(turning), [*turning.values()]
 
 
 def _tip(offset: Sequence[float]) -> list[float]:
@@ -153,17 +151,16 @@ def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor
     offset = np.array([joint.offset for joint in joints])
     place = np.broadcast_to(offset, (len(values), *offset.shape)).copy()
     rot = torch.eye(3, dtype=torch.float64).expand(len(values), len(joints), 3, 3).clone()
-    by_order: dict[str, list[tuple[int, list[int]]]] = {}
+    by_order: dict[str, dict[int, list[int]]] = {}
     for i, joint in enumerate(joints):
         for axis, column in joint.moves.items():
             place[:, i, axis] = values[:, column]
         order, columns = joint.turns
-        if order:
-            by_order.setdefault(order, []).append((i, columns))
-    for order, rows in by_order.items():
-        which, columns = zip(*rows, strict=True)
-        angles = torch.from_numpy(np.deg2rad(values[:, np.array(columns)]))
-        rot[:, list(which)] = rotation.euler_to_matrix(angles, order)
+        by_order.setdefault(order, {})[i] = columns
+    by_order.pop("", None)
+    for order, columns in by_order.items():
+        angles = torch.from_numpy(np.deg2rad(values[:, np.array([*columns.values()])]))
+        rot[:, [*columns]] = rotation.euler_to_matrix(angles, order)
     relative = _relative(joints, place.mean(0))
     place[:, relative] += offset[relative]
     return place, rot, relative
@@ -181,27 +178,22 @@ def _relative(joints: list[_Joint], place: np.ndarray) -> list[int]:
     return moving if len(bones) > 1 and near > 0.8 * len(bones) else []
 
 
-def _parse(at: Location, text: str, fps: float | None = None) -> tuple[list[_Joint], np.ndarray, float]:
+def _parse(at: Location, text: str, fps: Fps = None) -> tuple[list[_Joint], np.ndarray, float]:
     """The joints in file order, one row of channel values a frame, and frames per second (or those given)."""
-    lines = text.splitlines()
-    joints, motion_line = _hierarchy(at, lines)
-    width = 0
-    for joint in joints:
-        joint.first, width = width, width + len(joint.channels)
-    return joints, *_motion(at, lines, motion_line, width, fps)
+    lines = text_lines(at, text)
+    joints = _hierarchy(at, lines)
+    return joints, *_motion(at, lines, sum(len(joint.channels) for joint in joints), fps)
 
 
-def _hierarchy(at: Location, lines: list[str]) -> tuple[list[_Joint], int]:
+def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
+    """The joints; of the lines, MOTION is the last that is read."""
     joints: list[_Joint] = []
     here, expected, expect_brace = -1, "HIERARCHY", False  # here: the joint whose braces are open
-    for number, line in enumerate(lines, start=1):
+    for line in lines:
         words = line.split()
-        if not words:
-            continue
-        at.place = f"line {number}"
         head, joint = words[0].upper(), joints[here] if here >= 0 else None
         if not joints and head != expected:
-            raise at.error(f"expected {expected}, got {line.strip()[:40]!r}")
+            raise at.error(f"expected {expected}, got {line[:40]!r}")
         if expected == "HIERARCHY":
             expected = "ROOT"
             continue
@@ -217,11 +209,10 @@ def _hierarchy(at: Location, lines: list[str]) -> tuple[list[_Joint], int]:
             if joint and joint.is_end:
                 raise at.error("an End Site has no children")
             name = f"{joint.name}_end" if head == "END" else " ".join(words[1:])
-            if not name:
-                raise at.error(f"{words[0]} without a name")
-            if any(name == other.name for other in joints):
-                raise at.error(f"a second joint named {name!r}", remedy="give every joint its own name")
-            joints.append(_Joint(name, here, number, is_end=head == "END"))
+            if not name or any(name == other.name for other in joints):
+                what = f"a second joint named {name!r}" if name else f"{words[0]} without a name"
+                raise at.error(what, remedy="give every joint its own name")
+            joints.append(_Joint(name, here, at.place, is_end=head == "END"))
             here, expect_brace = len(joints) - 1, True
         elif head == "}":
             if joint is None:
@@ -232,59 +223,48 @@ def _hierarchy(at: Location, lines: list[str]) -> tuple[list[_Joint], int]:
         elif head == "OFFSET" and joint:
             joint.offset = floats(at, words[1:], 3).tolist()
         elif head == "CHANNELS" and joint:
-            joint.channels = _channels(at, words, joint)
+            names, first = [word.lower() for word in words[2:]], sum(len(other.channels) for other in joints)
+            if words[1:2] != [str(len(names))]:
+                raise at.error(f"CHANNELS promises {' '.join(words[1:2])} and lists {len(names)}")
+            if not {*names} <= {*_CHANNELS} or len({*names}) != len(names):
+                raise at.error(f"channels must be different ones of {', '.join(_CHANNELS)}, got {' '.join(words[2:])}")
+            if joint.is_end or joint.channels:
+                raise at.error("an End Site has no channels" if joint.is_end else f"{joint.name} has CHANNELS twice")
+            joint.channels = {name: column for column, name in enumerate(names, first)}
         elif head == "MOTION":
             if joint:
                 raise at.error(f"the braces of {joint.name} are still open")
-            return joints, number
+            return joints
         else:
-            raise at.error(f"expected JOINT, End Site, OFFSET, CHANNELS or a brace, got {line.strip()[:40]!r}")
-    at.place = f"line {len(lines)}"
+            raise at.error(f"expected JOINT, End Site, OFFSET, CHANNELS or a brace, got {line[:40]!r}")
     raise at.error("the file ends before MOTION: it is truncated, or no BVH")
 
 
-def _channels(at: Location, words: list[str], joint: _Joint) -> list[str]:
-    channels = [word.lower() for word in words[2:]]
-    known = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotation")}
-    if len(words) < 2 or words[1] != str(len(channels)):
-        raise at.error(f"CHANNELS promises {' '.join(words[1:2])} and lists {len(channels)}")
-    if not set(channels) <= known or len(set(channels)) != len(channels):
-        raise at.error(f"channels must be different ones of {', '.join(sorted(known))}, got {' '.join(words[2:])}")
-    if joint.is_end or joint.channels:
-        raise at.error("an End Site has no channels" if joint.is_end else f"{joint.name} has CHANNELS twice")
-    return channels
-
-
-def _motion(
-    at: Location, lines: list[str], motion_line: int, width: int, fps: float | None
-) -> tuple[np.ndarray, float]:
-    rows = [(n, line) for n, line in enumerate(lines[motion_line:], start=motion_line + 1) if line.strip()]
-    header = []
-    for (number, line), key in zip(rows[:2], ("frames", "frame time"), strict=False):
-        at.place = f"line {number}"
+def _motion(at: Location, lines: Iterator[str], width: int, fps: Fps) -> tuple[np.ndarray, float]:
+    header, places = [], []
+    for key in ("Frames", "Frame Time"):
+        line = next(lines, None)
+        if line is None:
+            raise at.error(f"the file ends before '{key}:': it is truncated")
         name, _, value = line.partition(":")
-        if " ".join(name.lower().split()) != key:
-            raise at.error(f"expected '{key}:', got {line.strip()[:40]!r}")
+        if name.lower().split() != key.lower().split():
+            raise at.error(f"expected '{key}:', got {line[:40]!r}")
         header.append(float(value))
-    if len(header) < 2:
-        raise at.error("the file ends before 'Frame Time:': it is truncated")
+        places.append(at.place)
     frames, frame_time = header
     if fps is None and not 0 < frame_time < np.inf:
-        remedy = f"write seconds per frame, or {judging.SAY_RATE}"
-        raise at.error(f"the frame time must be above zero, got {frame_time}", remedy=remedy)
-    fps = frame_rate(at, _rate(at, frame_time, rows[1][1]) if fps is None else fps, remedy=judging.SAY_RATE)
-    at.place = f"line {rows[0][0]}"
+        raise at.error(f"the frame time must be above zero, got {frame_time}", remedy=judging.SAY_RATE)
+    fps = frame_rate(at, _rate(at, frame_time, line) if fps is None else fps, remedy=judging.SAY_RATE)
     if frames < 1 or not width:
-        raise at.error("no frames" if width else "no channels", remedy="export at least one frame")
-    rows = rows[2:]
+        raise at.error("no frames" if width else "no channels", place=places[0], remedy="export at least one frame")
+    rows = [(at.place, line) for line in lines]
     if rows and abs(frames - len(rows)) == 1:  # some count from 0, and some the rest pose
         at.notes.append(f"the file promises {frames:g} frames and has {len(rows)}: those that are there are read")
     elif frames != len(rows):
         remedy = "copy the file again if it is truncated, or correct the number"
-        raise at.error(f"promises {frames:g} frames, the file has {len(rows)}", remedy=remedy)
+        raise at.error(f"promises {frames:g} frames, the file has {len(rows)}", place=places[0], remedy=remedy)
     values = np.empty((len(rows), width))
-    for row, (number, line) in zip(values, rows, strict=True):
-        at.place = f"line {number}"
+    for row, (at.place, line) in zip(values, rows, strict=True):
         row[:] = floats(at, line.split(), width)
     at.place = ""
     return values, fps
@@ -292,12 +272,11 @@ def _motion(
 
 def _rate(at: Location, frame_time: float, line: str) -> float:
     """Frames per second: the whole number that the printed digits can mean (0.033333 is 30), else 1 / time."""
-    digits = len(line.strip().partition(".")[2])
+    digits = len(line.partition(".")[2])
     if frame_time > 2:
-        fps, what = frame_time, "a rate"
-        if frame_time not in RATES:  # 16.67 is 60 a second, and so is 17
-            near = (rate for rate in RATES if abs(1000 / rate - frame_time) < 10.0**-digits)
-            fps, what = next(near, 1000 / frame_time), "milliseconds"
+        near = (rate for rate in RATES if abs(1000 / rate - frame_time) < 10.0**-digits)  # 16.67 ms is 60 a second
+        fps, what = next(near, 1000 / frame_time), "milliseconds"
+        fps, what = (frame_time, "a rate") if frame_time in RATES else (fps, what)
         taken = f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second"
         at.notes.append(f"{taken}: give the right one with fps=, or --fps-in")
         return fps
@@ -309,27 +288,23 @@ def _hierarchy_text(skeleton: Skeleton, scale: float, order: str, ends: set[int]
     """The joints depth first, and their indices in the order of their channels."""
     offsets = [[round(x, 6) for x in offset] for offset in (skeleton.offsets * scale).tolist()]
     offsets[0] = [0.0, 0.0, 0.0]
-    children: dict[int, list[int]] = {}
-    for joint, parent in enumerate(skeleton.parents):
-        children.setdefault(parent, []).append(joint)
     turns = " ".join(f"{axis}rotation" for axis in order)
     text: list[str] = []
     turning: list[int] = []
-    stack = [(0, "")]
+    stack: list[tuple[int | None, str]] = [(0, "")]
     while stack:
         joint, pad = stack.pop()
-        if joint < 0:
+        if joint is None:
             text.append(f"{pad}}}")
             continue
         kind = "End Site" if joint in ends else f"{'JOINT' if joint else 'ROOT'} {skeleton.names[joint]}"
         text += [f"{pad}{kind}", f"{pad}{{", f"{pad}\tOFFSET " + " ".join(f"{x:.6f}" for x in offsets[joint])]
-        stack.append((-1, pad))
-        if joint in ends:
-            continue
-        turning.append(joint)
-        text.append(f"{pad}\tCHANNELS {'3' if joint else '6 Xposition Yposition Zposition'} {turns}")
-        stack += [(child, pad + "\t") for child in reversed(children.get(joint, []))]
-        if joint not in children:
-            tip = "\tOFFSET " + " ".join(f"{x:.6f}" for x in _tip(offsets[joint]))
-            text += [f"{pad}\t{line}" for line in ("End Site", "{", tip, "}")]
+        stack.append((None, pad))
+        if joint not in ends:
+            turning.append(joint)
+            text.append(f"{pad}\tCHANNELS {'3' if joint else '6 Xposition Yposition Zposition'} {turns}")
+            stack += [(j, f"{pad}\t") for j in range(len(offsets) - 1, 0, -1) if skeleton.parents[j] == joint]
+            if joint not in skeleton.parents:
+                tip = "\tOFFSET " + " ".join(f"{x:.6f}" for x in _tip(offsets[joint]))
+                text += [f"{pad}\t{line}" for line in ("End Site", "{", tip, "}")]
     return text, turning

@@ -74,10 +74,9 @@ def load_amp(path: str | Path) -> Motion:
 def load_deepmimic(path: str | Path) -> Motion:
     """Reads a DeepMimic motion: metres, z up, the character's own skeleton.
 
-    A frame is duration, root position, root quaternion (w first), then per joint a quaternion
-    (spherical) or an angle about z (knees and elbows). The frame rate is 1 / the median duration; the
-    last one is 0 in clips that do not loop. Where frames last differently the clip is resampled evenly, and
-    noted.
+    A frame is duration, root position, root quaternion (w first), then per joint a quaternion (spherical) or an angle
+    about z (knees and elbows). The frame rate is 1 / the median duration; the last one is 0 in clips that do not loop.
+    Where frames last differently the clip is resampled evenly, and noted.
 
     Raises:
         DataError: not such a file; names the frame.
@@ -86,21 +85,16 @@ def load_deepmimic(path: str | Path) -> Motion:
         content = read_json(at)
         if not isinstance(content, dict) or not isinstance(content.get("Frames"), list):
             raise at.error('no list "Frames"', place="top level")
-        for i, frame in enumerate(content["Frames"]):
-            if not isinstance(frame, list) or len(frame) != 44:
-                size = len(frame) if isinstance(frame, list) else type(frame).__name__
-                raise at.error(f"expected 44 numbers, got {size}", place=f"frame {i}")
-        table = checked_array(at, content["Frames"], "T 44", place='"Frames"')
+        rows = [checked_array(at, frame, "44", f"frame {i}") for i, frame in enumerate(content["Frames"])]
+        table = checked_array(at, rows, "T 44", place='"Frames"')
         fps, times = _frame_rate(at, table[:, 0])
         rot = torch.eye(3, dtype=torch.float64).expand(len(table), len(_DEEPMIMIC), 3, 3).clone()
-        column = 4
-        for joint, (name, width) in enumerate(zip(_NAMES, _WIDTHS, strict=True)):
-            part = table[:, column : column + width]
-            if width == 4:  # rounded by hand in places: humanoid3d_punch goes down to 0.93
+        parts = np.split(table, np.cumsum((4, *_WIDTHS)), axis=1)[1:-1]
+        for joint, (name, part) in enumerate(zip(_NAMES, parts, strict=True)):
+            if part.shape[1] == 4:  # rounded by hand in places: humanoid3d_punch goes down to 0.93
                 rot[:, joint] = _rotations(at, part[:, None], (name,), 0.2)[:, 0]
-            elif width == 1:
+            elif part.shape[1] == 1:
                 rot[:, joint] = rotation.rotation_about("z", torch.from_numpy(part[:, 0]))
-            column += width
         rot[:, 0] = UPRIGHT.double() @ rot[:, 0]
         root = torch.from_numpy(table[:, 1:4]) @ UPRIGHT.double().T
         motion = Motion(_DEEPMIMIC, root, rot, fps, name=at.path.stem)
@@ -113,8 +107,8 @@ def load_deepmimic(path: str | Path) -> Motion:
 def _frame_rate(at: Location, durations: np.ndarray) -> tuple[float, np.ndarray]:
     """Frames per second, and the time of every frame in units of one frame."""
     inner = durations[:-1] if len(durations) > 1 else durations
-    if (inner <= 0).any():
-        i = int(np.flatnonzero(inner <= 0)[0])
+    if inner.min() <= 0:
+        i = int((inner <= 0).argmax())
         raise at.error(f"lasts {inner[i]} s; only the last frame may last 0", place=f"frame {i}")
     typical = float(np.sort(inner)[(len(inner) - 1) // 2])  # the lower median is a duration that occurs
     times = np.concatenate(([0.0], np.cumsum(inner)))[: len(durations)] / typical
@@ -128,9 +122,7 @@ def _frame_rate(at: Location, durations: np.ndarray) -> tuple[float, np.ndarray]
 def _rotations(at: Location, quaternions: np.ndarray, names: tuple[str, ...], off: float) -> torch.Tensor:
     """Matrices (T, J, 3, 3) of quaternions (T, J, 4), w first, of about length 1."""
     length = np.linalg.norm(quaternions, axis=-1)
-    bad = np.argwhere(np.abs(length - 1) > off)
-    if len(bad):
+    if len(bad := np.argwhere(np.abs(length - 1) > off)):
         frame, joint = bad[0]
-        place = f"frame {frame}, {names[joint]}"
-        raise at.error(f"quaternion of length {length[frame, joint]:.3g}, expected 1", place=place)
+        raise at.error(f"quaternion of length {length[frame, joint]:.3g}", place=f"frame {frame}, {names[joint]}")
     return rotation.quaternion_to_matrix(torch.from_numpy(quaternions / length[..., None]))

@@ -11,19 +11,7 @@ from functools import partial
 import numpy as np
 
 from motionlab.io import detections
-from motionlab.io.detections import (
-    COCO_17,
-    MEDIAPIPE_33,
-    PLAIN,
-    Detections,
-    Sighting,
-    first_of,
-    pixels,
-    point_names,
-    standard_name,
-    stated,
-    whole_number,
-)
+from motionlab.io.detections import MEDIAPIPE_33, Detections, first_of, pixels, point_names, stated, whole_number
 from motionlab.io.points import trc_table
 from motionlab.io.reading import Location, checked_array, frame_rate, read_npz
 
@@ -58,14 +46,13 @@ def from_lines(at: Location, text: str) -> Detections:
 def _yolo(at: Location, lines: list[tuple[int, str]]) -> Detections:
     """Each line: class, box, points; then the box's confidence, where asked for, and the track's id, where tracked."""
 
-    def read(text: str) -> Sighting:
+    def read(text: str) -> detections.Sighting:
         words = text.split(None, _MOST_WORDS)
         values = pixels(at, [_cell(at, word) for word in words[:_MOST_WORDS]], "N")
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
         points = next((points for points in choices if _in_box(points, values[1:5])), None)
         if points is None:
-            message = f"{len(words)} words are no class, box and keypoints of a person in it"
-            raise at.error(message, remedy="save the labels of a pose model (save_txt)")
+            raise at.error("no class, box and keypoints in it", remedy="save the labels of a pose model (save_txt)")
         more = words[5 + points.size :]
         tracked = len(more) == 2 or bool(more and whole_number(more[0]))  # one number: a confidence, or an id from 1
         scores = points[:, 2] if points.shape[1] == 3 else None
@@ -98,9 +85,8 @@ def _csv(at: Location, rows: list[tuple[int, list[str]]]) -> Detections:
         rows = rows[2 + ("individuals" in heads) :]
     head = [cell.lower() for cell in title]
     columns = {name: k for k, name in reversed([*enumerate(head)])}
-    frame_at, id_at, person_at, name_at, time_at = (
-        first_of(columns, words) for words in (detections.FRAME, detections.ID, ("person",), _KEYPOINT, _TIME)
-    )
+    wanted = (detections.FRAME, detections.ID, ("person",), _KEYPOINT, _TIME)
+    frame_at, id_at, person_at, name_at, time_at = (first_of(columns, words) for words in wanted)
     at.place = "line 1"
     long = name_at is not None and {"x", "y"} <= columns.keys()
     one = [columns.get("x"), columns.get("y"), first_of(columns, detections.SCORES)]
@@ -111,25 +97,22 @@ def _csv(at: Location, rows: list[tuple[int, list[str]]]) -> Detections:
         if len(row) != len(head):
             raise at.error(f"expected {len(head)} cells, got {len(row)}", place=f"line {line}")
     order, fps = _clock(at, head, rows, frame_at, time_at)
-    people: dict[tuple, tuple[int | None, dict]] = {}
+    seen: dict[int, dict[object, tuple[dict, int | None]]] = {}
     for frame, (line, row) in zip(order, rows, strict=True):
         at.place = f"line {line}"
         who = tuple(row[k] for k in (id_at, person_at) if k is not None) if long else line
-        name, body = people.setdefault((frame, who), (None if id_at is None else whole_number(row[id_at]), {}))
+        new = {}, None if id_at is None else whole_number(row[id_at])
+        body, _ = seen.setdefault(frame, {}).setdefault(who, new)
         for key, places in points:
-            body[row[name_at] if long else key] = tuple(
-                _cell(at, row[k]) if k is not None and row[k] else None for k in places
-            )
-    seen: dict[int, list] = {}
-    for (frame, _), (name, body) in people.items():
-        seen.setdefault(frame, []).append((body, name))
-    return detections.collect_named(at, "CSV table", [*seen.items()], fps=fps)
+            cells = (row[k] if k is not None else "" for k in places)
+            body[row[name_at] if long else key] = tuple(_cell(at, cell) if cell else None for cell in cells)
+    frames = [(frame, [*people.values()]) for frame, people in seen.items()]
+    return detections.collect_named(at, "CSV table", frames, fps=fps)
 
 
 def _wide_points(at: Location, title: list[str]) -> list[tuple[str, list[int | None]]]:
     """Name and columns (x, y, confidence) of every point of a header such as X_NOSE, Y_NOSE or nose_x, nose_y."""
-    found: list[tuple[str, list]] = []
-    latest: dict[str, list] = {}
+    found, latest = [], {}
     for k, cell in enumerate(title):
         first = re.fullmatch(rf"({_AXIS})[_. ]?(\d+)|({_AXIS})[_. ](.+)", cell, re.IGNORECASE)
         last = re.fullmatch(rf"(.+)[_. ]({_AXIS})", cell, re.IGNORECASE)
@@ -143,7 +126,8 @@ def _wide_points(at: Location, title: list[str]) -> list[tuple[str, list[int | N
     points = [(name, places[:3]) for name, places in found if None not in places[:2]]
     if not points:
         raise detections.unknown(at)
-    if len(points) == len(MEDIAPIPE_33) and {standard_name(name) for name, _ in points} <= set(MEDIAPIPE_33):
+    known = {detections.standard_name(name) for name, _ in points} <= {*MEDIAPIPE_33}
+    if known and len(points) == len(MEDIAPIPE_33):
         points = [(name, places) for name, (_, places) in zip(MEDIAPIPE_33, points, strict=True)]  # one is misnamed
     elif all(name.isdecimal() for name, _ in points):
         points = [(str(n), places) for n, (_, places) in enumerate(points)]  # some count from 1
@@ -156,12 +140,10 @@ def _clock(
     at: Location, head: list[str], rows: list[tuple[int, list[str]]], frame_at: int | None, time_at: int | None
 ) -> tuple[list[int], float | None]:
     """The frame number of every row, by its own or by its time; and the frame rate by the times, s or ms."""
-    order: list[int] = []
-    for n, (line, row) in enumerate(rows):
-        number = n if frame_at is None else whole_number(row[frame_at])
-        if number is None:
-            raise at.error(f"{row[frame_at][:40]!r} is no frame number", place=f"line {line}")
-        order.append(number)
+    order = [n if frame_at is None else whole_number(row[frame_at]) for n, (_, row) in enumerate(rows)]
+    if None in order:
+        line, row = rows[order.index(None)]
+        raise at.error(f"{row[frame_at][:40]!r} is no frame number", place=f"line {line}")
     if time_at is None:
         return order, None
     at.place = head[time_at]
@@ -173,7 +155,7 @@ def _clock(
     if frame_at is None:
         at_frame = np.round((moments - moments[0]) / step)
         rising = at_frame[-1] < detections.MOST_FRAMES and (np.diff(at_frame) > 0).all()
-        order = (at_frame if rising else np.arange(len(moments))).astype(int)[where].tolist()
+        order = (at_frame.astype(int) if rising else np.arange(len(moments)))[where].tolist()
     return order, frame_rate(at, (1000 if step >= 1 else 1) / step)  # nobody films at a frame per second
 
 
@@ -188,19 +170,17 @@ def from_trc(at: Location, text: str) -> Detections:
         raise at.error(f"{len(rows)} frames, by number, of {head['NumFrames']}", place="frames")
     known = np.abs(points[np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)])
     if (known[:, 2] > 0).any() or (len(known) and np.median(known[:, :2]) < _METRES):
-        remedy = "give the file in pixels (Sports2D: ..._px_person00.trc)"
-        raise at.error("3-D points, or metres, where a fit needs pixels", place="coordinates", remedy=remedy)
+        raise at.error("3-D points, or metres", place="coordinates", remedy="give the 2-D file in pixels (..._px_...)")
     points[..., 2] = math.nan  # no confidences
     frames = ((number, [(here, None)]) for number, here in zip(order, points, strict=True))
     return detections.collect(at, "Sports2D", frames, tuple, names=point_names(at, [*names]), fps=fps, notes=at.notes)
 
 
 def from_npz(at: Location) -> Detections:
-    """Reads the plain layout that ``keypoints`` describes; an array that is pickled is never opened."""
-    keys = ("keypoints", "positions_2d", "confidence", "scores", "names", "fps", "size", "ids")  # the second is pickled
-    arrays = read_npz(at, keys)
+    """Reads the plain layout that ``keypoints`` describes; one that is pickled, as positions_2d, is never opened."""
+    arrays = read_npz(at, ("keypoints", "positions_2d", "confidence", "scores", "names", "fps", "size", "ids"))
     if "keypoints" not in arrays:
-        remedy = f"unpack it, if it is a folder's archive, and name the folder; else {PLAIN}"
+        remedy = f"unpack it, if it is a folder's archive, and name the folder; else {detections.PLAIN}"
         raise at.error("the key keypoints is missing", place="keys", remedy=remedy)
     array = arrays["keypoints"]
     points = pixels(at, array, "T P K D" if array.ndim == 4 else "T K D", "keypoints")
@@ -210,15 +190,13 @@ def from_npz(at: Location) -> Detections:
         raise at.error(f"expected x, y and confidence, got {axes} numbers a point", place="keypoints")
     scores = points[..., 2] if axes == 3 else np.full(lead, np.nan)
     if key := next((key for key in ("confidence", "scores") if key in arrays), None):
-        shape = " ".join(str(n) for n in array.shape[:-1])
-        scores = pixels(at, arrays[key], shape, key).reshape(lead)
+        scores = pixels(at, arrays[key], " ".join(map(str, array.shape[:-1])), key).reshape(lead)
     points = np.concatenate([points[..., :2], scores[..., None]], -1)
-    ids: list[int | None] = [None] * lead[1]
-    if "ids" in arrays:
-        ids = [whole_number(number) for number in checked_array(at, arrays["ids"], str(lead[1]), "ids").tolist()]
+    ids = checked_array(at, arrays["ids"], str(lead[1]), "ids") if "ids" in arrays else np.full(lead[1], -1)
+    ids = [whole_number(number) for number in ids.tolist()]
     names = point_names(at, [str(name) for name in arrays.get("names", np.zeros(0)).ravel()[: lead[2] + 1]])
     frames = enumerate(zip(people, ids, strict=True) for people in points)
-    return detections.collect(at, "plain npz", frames, tuple, names=names, **detections.stated(at, arrays))
+    return detections.collect(at, "plain npz", frames, tuple, names=names, **stated(at, arrays))
 
 
 def from_json(at: Location, document: object) -> Detections:
@@ -241,7 +219,7 @@ def from_json(at: Location, document: object) -> Detections:
             marked.setdefault(called[entry["image_id"]], []).extend([entry] * ("keypoints" in entry))
         found = _of_images(at, {name: marked.get(name, []) for name in called.values()}, alphapose=False)
         points = next((kind["keypoints"] for kind in document.get("categories", []) if "keypoints" in kind), None)
-        found.names, found.size = detections.point_names(at, points), stated(at, document["images"][0])["size"]
+        found.names, found.size = point_names(at, points), stated(at, document["images"][0])["size"]
         return found
     if {"image_id", "keypoints"} <= keys and item is not document:
         images: dict[object, list] = {}
@@ -260,16 +238,14 @@ def from_json(at: Location, document: object) -> Detections:
     return _landmarks(at, document)
 
 
-def _person(at: Location, one: object, about: str = "", *, needed: bool = False) -> Sighting:
+def _person(at: Location, one: object, about: str = "", *, needed: bool = False) -> detections.Sighting:
     """A flat list x, y, confidence, x, ...; or rows of coordinates, or x and y apart, with the scores beside them.
 
     No points, or an empty list, is somebody who was not found. needed: the key of the points has to be there.
     """
-    key = next((key for key in _POINTS if key in one), _POINTS[0]) if isinstance(one, dict) else _POINTS[0]
-    if not isinstance(one, dict):
-        raise at.error(f'expected an object with "{key}"')
-    if needed and key not in one:
-        raise at.error('expected "keypoints" of every person')
+    if not isinstance(one, dict) or (needed and not {*_POINTS} & one.keys()):
+        raise at.error(f'expected an object with "{_POINTS[-1 if needed else 0]}" of every person')
+    key = next((key for key in _POINTS if key in one), _POINTS[0])
     values, points = one.get(key), np.zeros((0, 3))
     if isinstance(values, dict):  # Ultralytics
         xy = pixels(at, [values.get("x"), values.get("y")], "2 K").T
@@ -277,8 +253,7 @@ def _person(at: Location, one: object, about: str = "", *, needed: bool = False)
     elif isinstance(values, list) and values and isinstance(values[0], list):  # MMPose
         xy = pixels(at, values, "K D")
         if xy.shape[1] != 2:
-            message = f"{xy.shape[1]} coordinates a point{about}: 3-D poses, where a fit needs pixels"
-            raise at.error(message, remedy="give the 2-D detector's file")
+            raise at.error(f"{xy.shape[1]} coordinates a point{about}: 3-D", remedy="give the 2-D detector's file")
         points = detections.with_scores(at, xy, one.get("keypoint_scores"))
     elif values is not None or key == "keypoints":
         if not isinstance(values, list) or len(values) % 3:
@@ -303,8 +278,7 @@ def _openpose(at: Location, document: object) -> Detections:
 def _mmpose(at: Location, document: dict | list) -> Detections:
     meta = document.get("meta_info") or {} if isinstance(document, dict) else {}
     frames = document["instance_info"] if "instance_info" in document else document
-    if isinstance(frames, dict):
-        frames = [frames]
+    frames = [frames] if isinstance(frames, dict) else frames
     if not any("instances" in frame for frame in frames):
         frames = [{"instances": frames}]  # one image
     numbers = [whole_number(frame.get("frame_id", n)) for n, frame in enumerate(frames)]
@@ -313,9 +287,8 @@ def _mmpose(at: Location, document: dict | list) -> Detections:
         raise at.error(f"frame_id {frames[n]['frame_id']!r} is no frame number", place=f"frame {n}")
     people = zip(numbers, (frame["instances"] for frame in frames), strict=True)
     read = partial(_person, at, about=f" (data set {meta.get('dataset_name', 'not named')})", needed=True)
-    return detections.collect(
-        at, "MMPose", people, read, names=detections.point_names(at, meta.get("keypoint_id2name")), lowest=_MMPOSE
-    )
+    names = point_names(at, meta.get("keypoint_id2name"))
+    return detections.collect(at, "MMPose", people, read, names=names, lowest=_MMPOSE)
 
 
 def _of_images(at: Location, images: dict[object, Iterable], *, alphapose: bool) -> Detections:
@@ -338,12 +311,12 @@ def _of_images(at: Location, images: dict[object, Iterable], *, alphapose: bool)
 def _vitpose(at: Location, document: dict) -> Detections:
     """easy_ViTPose: frames of people by id, or in a list; each point is y, x, score."""
 
-    def read(one: tuple[object, object]) -> Sighting:
+    def read(one: tuple[object, object]) -> detections.Sighting:
         return pixels(at, one[1], "K 3")[:, [1, 0, 2]], whole_number(one[0])
 
     frames = document["keypoints"]
     people = (frame.items() if isinstance(frame, dict) else [(None, one) for one in frame] for frame in frames)
-    names = detections.point_names(at, document["skeleton"])
+    names = point_names(at, document["skeleton"])
     return detections.collect(at, "ViTPose", enumerate(people), read, names=names, lowest=_VITPOSE)
 
 
@@ -357,7 +330,7 @@ def _landmarks(at: Location, document: object) -> Detections:
         at.place = f"frame {number}"
         seen.append((number, [(_by_name(at, body), name) for body, name in _bodies(at, frame)]))
     found = detections.collect_named(at, "named points", seen, **stated(at, document, *frames[:1]))
-    found.detector = "MoveNet" if found.names == COCO_17 else found.detector
+    found.detector = "MoveNet" if found.names == detections.COCO_17 else found.detector
     return found
 
 
@@ -365,7 +338,7 @@ def _is_body(value: object) -> bool:
     """Whether a list is one person's points, not people or frames."""
     one = value[0] if isinstance(value, list) and value else None
     if isinstance(one, dict):
-        return "x" in one and not isinstance(one["x"], dict | list)
+        return not isinstance(one.get("x", []), dict | list)
     return isinstance(one, list) and len(one) in (2, 3, 4) and all(isinstance(x, int | float) for x in one)
 
 
@@ -377,8 +350,7 @@ def _bodies(at: Location, value: object) -> list[tuple[dict | list, int | None]]
             mine = whole_number(first_of(value, detections.ID))
             return [(body, mine if name is None else name) for body, name in _bodies(at, inner)]
         if first_of(value, _WORLD) is not None:
-            message = "world landmarks alone: 3-D, in metres about the hips, where a fit needs pixels"
-            raise at.error(message, remedy="save the image landmarks (pose_landmarks)")
+            raise at.error("world landmarks alone, in metres", remedy="save the image landmarks (pose_landmarks)")
         return [(value, None)] if value else []
     if _is_body(value):
         return [(value, None)]

@@ -19,24 +19,20 @@ from motionlab.errors import DataError
 from motionlab.io.reading import Location, checked_array, frame_rate, image_size, reading
 from motionlab.observation import BODY_25, Observation2D
 
-#: OpenPose's COCO model: BODY_25 without mid-hip and feet.
-COCO_18 = tuple(name for name in BODY_25[:19] if name != "mid_hip")
 #: Other words for a point, once it is written in small letters with "_" between words.
 _SAME = {"hip": "mid_hip", "pelvis": "mid_hip", "root": "mid_hip", "head": "head_top", "top_head": "head_top"}
 _SIDE = r"^([lr])_?(?=eye|ear|shoulder|elbow|wrist|hip|knee|ankle|big|small|heel|foot)"
-#: Where BODY_25 finds a point that a layout lacks: the same place under another name.
-_INSTEAD = {"left_big_toe": "left_foot_index", "right_big_toe": "right_foot_index"}
-#: No pixel, no share of an image and no score lies beyond.
-FARTHEST = 1e6
-#: What to save instead of what cannot be read.
+#: Where BODY_25 finds a point that a layout lacks: in the same place under another name, or in the middle of two.
+_INSTEAD = {
+    "left_big_toe": ["left_foot_index"], "right_big_toe": ["right_foot_index"],
+    "neck": ["left_shoulder", "right_shoulder"], "mid_hip": ["left_hip", "right_hip"],
+}  # fmt: skip
 PLAIN = "save it with numpy.savez(path, keypoints=(frames, people, joints, 3), names=joints, fps=fps)"
 #: Words for one thing, as keys of JSON and as columns of tables.
 SCORES = ("score", "confidence", "visibility", "visible", "conf", "likelihood", "c", "v")
 FRAME = ("frame", "frame_id", "frame_number", "frame_idx", "frame_index")
 ID = ("id", "track_id", "person_id", "track")
-#: Frame numbers that span more than this are taken for a mistake; so are more points of a person than this.
-MOST_FRAMES = 200_000
-_MOST_POINTS = 200
+MOST_FRAMES, _MOST_POINTS = 200_000, 200  # frame numbers that span more, and more points of a person, are a mistake
 _FORMATS = "OpenPose, MMPose, AlphaPose, COCO results, Ultralytics, MediaPipe, MoveNet, ViTPose, Sports2D and CSV"
 _MEDIAPIPE = 0.5  # from this score on it draws a point
 _NOBODY = np.zeros((0, 0, 3))
@@ -45,10 +41,6 @@ Sighting = tuple[np.ndarray, "int | None"]  # points (K, 3): x, y, confidence; t
 
 def _pairs(*parts: str) -> list[str]:
     return [f"{side}_{part}" for part in parts for side in ("left", "right")]
-
-
-def _row(part: str, numbers: range) -> list[str]:
-    return [f"{part}_{n}" for n in numbers]
 
 
 #: COCO's 17 points, in COCO's order.
@@ -63,17 +55,16 @@ MEDIAPIPE_33 = (
     "left_ear", "right_ear", "mouth_left", "mouth_right", *_pairs("shoulder", "elbow", "wrist"),
     *_pairs("pinky", "index", "thumb"), *_pairs("hip", "knee", "ankle", "heel", "foot_index"),
 )  # fmt: skip
-_HANDS = [name for side in ("left", "right") for name in _row(f"{side}_hand", range(21))]
-#: COCO-WholeBody: COCO's points, the feet, 68 of the face, 21 of each hand.
-WHOLEBODY_133 = (*COCO_17, *BODY_25[19:], *_row("face", range(68)), *_HANDS)
-#: OpenPose's whole body: BODY_25B, 20 of each hand (the wrist is the body's), 70 of the face.
-BODY_135 = (*BODY_25B, *(name for name in _HANDS if not name.endswith("_0")), *_row("face", range(70)))
-#: Halpe's full body: its body, 68 of the face, 21 of each hand.
-HALPE_136 = (*HALPE_26, *_row("face", range(68)), *_HANDS)
+_FACE = [f"face_{n}" for n in range(70)]
+_HANDS = [f"{side}_hand_{n}" for side in ("left", "right") for n in range(21)]
 #: By name and number of points. Points without names are those of the first layout with as many.
 LAYOUTS = {
-    "BODY_25": BODY_25, "BODY_25B": BODY_25B, "COCO_18": COCO_18, "COCO_17": COCO_17, "HALPE_26": HALPE_26,
-    "MEDIAPIPE_33": MEDIAPIPE_33, "WHOLEBODY_133": WHOLEBODY_133, "BODY_135": BODY_135, "HALPE_136": HALPE_136,
+    "BODY_25": BODY_25, "BODY_25B": BODY_25B, "COCO_17": COCO_17, "HALPE_26": HALPE_26, "MEDIAPIPE_33": MEDIAPIPE_33,
+    "COCO_18": tuple(name for name in BODY_25[:19] if name != "mid_hip"),  # OpenPose's COCO model
+    "WHOLEBODY_133": (*COCO_17, *BODY_25[19:], *_FACE[:68], *_HANDS),  # COCO-WholeBody
+    # OpenPose's whole body, whose wrists are not of its hands; Halpe's full body
+    "BODY_135": (*BODY_25B, *(name for name in _HANDS if not name.endswith("_0")), *_FACE),
+    "HALPE_136": (*HALPE_26, *_FACE[:68], *_HANDS),
 }  # fmt: skip
 
 
@@ -109,11 +100,9 @@ def _detect_layout(people: np.ndarray) -> str | None:
         return next((layout for layout, names in LAYOUTS.items() if len(names) == people.shape[1]), None)
     seen = people[..., 2] > 0
     distance = np.where(seen, np.linalg.norm(people[..., :2] - people[:, :1, :2], axis=-1), np.nan)
-    votes = []
-    for face, other in ((slice(1, 5), slice(15, 19)), (slice(15, 19), slice(1, 5))):
-        both = seen[:, 0] & (seen[:, face].sum(-1) >= 2) & (seen[:, other].sum(-1) >= 2)
-        votes.append(int((np.nanmean(distance[both, face], -1) < np.nanmean(distance[both, other], -1)).sum()))
-    return None if votes[0] == votes[1] else ("BODY_25B" if votes[0] > votes[1] else "BODY_25")
+    both = seen[:, 0] & (seen[:, 1:5].sum(-1) >= 2) & (seen[:, 15:19].sum(-1) >= 2)
+    votes = np.sign(np.nanmean(distance[both, 15:19], -1) - np.nanmean(distance[both, 1:5], -1)).sum()
+    return None if votes == 0 else ("BODY_25B" if votes > 0 else "BODY_25")
 
 
 def to_body_25(observation: Observation2D) -> Observation2D:
@@ -125,16 +114,13 @@ def to_body_25(observation: Observation2D) -> Observation2D:
     lead = observation.confidence.shape[:-1]
     keypoints = observation.keypoints.new_zeros(*lead, len(BODY_25), 2)
     confidence = observation.confidence.new_zeros(*lead, len(BODY_25))
-    middles = {"neck": "shoulder", "mid_hip": "hip"}
     for k, name in enumerate(BODY_25):
-        middle = [f"{side}_{middles.get(name)}" for side in ("left", "right")]
-        sources = next((s for s in ([name], [_INSTEAD.get(name)], middle) if set(s) <= set(observation.names)), [])
-        if not sources:
-            continue
-        pair = [observation.index(source) for source in sources]
-        confidence[..., k] = observation.confidence[..., pair].amin(-1)
-        mean = observation.keypoints[..., pair, :].mean(-2)
-        keypoints[..., k, :] = torch.where(confidence[..., k, None] > 0, mean, 0.0)
+        choices = ([name], _INSTEAD.get(name, [name]))
+        if sources := next((each for each in choices if {*each} <= {*observation.names}), None):
+            pair = [observation.index(source) for source in sources]
+            confidence[..., k] = observation.confidence[..., pair].amin(-1)
+            mean = observation.keypoints[..., pair, :].mean(-2)
+            keypoints[..., k, :] = torch.where(confidence[..., k, None] > 0, mean, 0.0)
     return Observation2D(keypoints, confidence, BODY_25, observation.fps, observation.camera, observation.name)
 
 
@@ -193,11 +179,10 @@ def _series(at: Location, suffix: str) -> dict[int, Path] | None:
     series: dict[str, dict[int, Path]] = {}
     for file in sorted(at.path.glob(f"*{suffix}")):
         stem = re.sub(r"_(jpe?g|png)\.rf\.[0-9a-f]+$", "", file.stem)  # Roboflow's
-        found = re.search(r"(\d{1,19})(?:_keypoints)?$", stem)
-        if found is not None:
-            files = series.setdefault(stem[: found.start()], {})
-            if files.setdefault(int(found[1]), file) is not file:
-                raise at.error(f"{files[int(found[1])].name} has the same frame number", place=file.name)
+        if found := re.fullmatch(r"(.*?)(\d{1,19})(?:_keypoints)?", stem):
+            same = series.setdefault(found[1], {}).setdefault(int(found[2]), file)
+            if same is not file:
+                raise at.error(f"{same.name} has the same frame number", place=file.name)
     ranked = sorted(series.values(), key=len, reverse=True)
     if len(ranked) > 1 and len(ranked[0]) == len(ranked[1]):
         raise at.error(f"several series of frames: {', '.join(sorted(series))}", remedy="one folder per camera")
@@ -210,9 +195,7 @@ def unknown(at: Location) -> DataError:
     return at.error(f"no known layout of keypoints; known are {_FORMATS}", remedy=PLAIN)
 
 
-def collect(
-    at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable[..., Sighting], **more
-) -> Detections:
+def collect(at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable, **more) -> Detections:
     """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros."""
     found = Detections(detector, {}, {}, **more)
     for number, people in frames:
@@ -227,15 +210,14 @@ def collect(
             raise at.error("people have different numbers of keypoints")
         if max(counts, default=0) > _MOST_POINTS:
             raise at.error(f"{max(counts)} keypoints of one person")
-        shown = [points if len(points) else np.zeros((*counts, 3)) for points, _ in seen] if counts else []
-        found.frames[number] = np.stack(shown) if shown else _NOBODY
-        found.ids[number] = [name for _, name in seen] if shown else []
+        found.frames[number], found.ids[number] = _NOBODY, []
+        if counts:
+            found.frames[number] = np.stack([points if len(points) else np.zeros((*counts, 3)) for points, _ in seen])
+            found.ids[number] = [name for _, name in seen]
     return found
 
 
-def collect_named(
-    at: Location, detector: str, seen: list[tuple[int, list[tuple[dict, int | None]]]], **more
-) -> Detections:
+def collect_named(at: Location, detector: str, seen: list[tuple[int, list]], **more) -> Detections:
     """Joins (frame number, people) pairs whose points are (x, y, confidence) by name or number, None where not said.
 
     What somebody lacks is NaN. Names of COCO or MediaPipe are put in that layout's order.
@@ -264,8 +246,8 @@ def collect_named(
 
 
 def pixels(at: Location, values: object, shape: str, place: str | None = None) -> np.ndarray:
-    """Checks coordinates or scores, of which any may be NaN; see ``reading.checked_array``."""
-    return checked_array(at, values, shape, place, FARTHEST, nan=True)
+    """Checks coordinates or scores, none beyond a million, of which any may be NaN; see ``reading.checked_array``."""
+    return checked_array(at, values, shape, place, 1e6, nan=True)
 
 
 def whole_number(value: object) -> int | None:
@@ -306,10 +288,8 @@ def point_names(at: Location, value: object) -> tuple[str, ...] | None:
 def stated(at: Location, *places: object) -> dict:
     """Reads frame rate and image size where one of some objects states them."""
     known = {key: value for place in places if isinstance(place, dict) for key, value in place.items()}
-    fps = first_of(known, ("fps", "frame_rate", "framerate"))
-    size = first_of(known, ("size", "image_size"))
-    if size is None:
-        pairs = ([known.get(f"{kind}{side}") for side in ("width", "height")] for kind in ("", "image_", "canvas_"))
-        size = next((pair for pair in pairs if None not in pair), None)
+    fps, size = first_of(known, ("fps", "frame_rate", "framerate")), first_of(known, ("size", "image_size"))
+    pairs = ([known.get(f"{kind}{side}") for side in ("width", "height")] for kind in ("", "image_", "canvas_"))
+    size = next((pair for pair in pairs if None not in pair), None) if size is None else size
     rate = fps if fps is None else frame_rate(at, fps, "fps")
     return {"fps": rate, "size": size if size is None else image_size(at, size)}

@@ -4,6 +4,7 @@ figure speaks against it, what it does not say is worked out from the figure; wh
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 from typing import TypeVar
 
@@ -25,7 +26,6 @@ _TRIED, _PERSON, _FIGURE, ASSUMED = ("m", "cm", "mm", "inch", "ft", "dm"), (1.2,
 #: A person's longest chain of bones, foot to hand, over the height: the size of a figure in any pose; and thigh and
 #: shin over the height. Where the two sizes differ by more than ``_PROP``, the chain holds more than a body.
 CHAIN, _LEG, _PROP = 1.4, 0.47, 0.35
-#: The remedies for a frame rate and an axis.
 SAY_RATE, _SAY_UP = "say it with fps=, or --fps-in", "say it with up=, or --up"
 #: The file's axes that become the world's x, y, z, by the one that points up. Who faces +z in a y-up file faces +y.
 AXES = {"y": "-xzy", "z": "xyz", "x": "yzx", "-y": "xz-y", "-z": "x-y-z", "-x": "zy-x"}
@@ -35,13 +35,12 @@ _FLOOR, _RARE, _SURE = 0.5, 0.3, 0.3
 _HEAD, _NECK = re.compile(r"head|[lr][fb]hd|頭|^face$"), re.compile(r"neck|nose|c7|clavicle|首")
 _FEET = re.compile(r"foot|feet|ankle|toe|heel|足首|[lr](ank|hee)|malleol|calc(?!.*tub)")
 
-#: What callers say of a file: a unit's name or metres; a letter of ``AXES``, or the file axes that become x, y, z.
-Unit, Axes = str | float | None, str | None
+#: What callers say: a unit's name or metres; a letter of ``AXES``, or the file axes that become x, y, z; a frame rate.
+Unit, Axes, Fps = str | float | None, str | None, float | None
 Figure = TypeVar("Figure")  # a Motion, or points.Positions
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
 SAME, RIGID = 0.002, 0.02
-#: The figure goes on in the child that holds so much of all that is below.
-_TRUNK = 0.8
+_TRUNK = 0.8  # the figure goes on in the child that holds so much of all that is below
 
 
 def axes_to_matrix(axes: str) -> Tensor:
@@ -66,7 +65,7 @@ def unit_named(word: object) -> float | None:
     return UNITS.get(_WORDS.get(word, word))
 
 
-def check_given(unit: str | float | None, up: str | None, axes: str | None) -> None:
+def check_given(unit: Unit, up: Axes, axes: Axes) -> None:
     """Checks what a caller says of a file.
 
     Raises:
@@ -84,9 +83,9 @@ def to_world(
     at: Location,
     figure: Figure,
     *,
-    unit: str | float | None = None,
-    up: str | None = None,
-    axes: str | None = None,
+    unit: Unit = None,
+    up: Axes = None,
+    axes: Axes = None,
     says_unit: float | None = None,
     says_up: str | None = None,
     trust: float = 1.0,
@@ -96,8 +95,8 @@ def to_world(
 
     Args:
         unit, up, axes: what the caller gives, which is taken as it is; checked before, by :func:`check_given`: metres
-            per unit, or "m", "cm", "mm", "inch"; the file's axis that points up, "y", "z", "-y", ...; instead of it the
-            file's axes that become the world's x, y and z, such as "x-zy".
+            per unit, or one of ``UNITS``; the file's axis that points up, of ``AXES``; instead of it the file's axes
+            that become the world's x, y and z, such as "x-zy".
         says_unit, says_up: what the file or its format says: metres, and a letter of ``AXES``. Of a motion without,
             the zero pose is asked. trust: how much the letter weighs against a head above the feet in all frames (1).
         table: the axes by the one that points up, as ``AXES``.
@@ -110,10 +109,13 @@ def to_world(
     head, feet = _found(_HEAD, names) or _found(_NECK, names), _found(_FEET, names)
     if skeleton is not None:  # the ankles alone: who has no foot above
         feet = [j for j in feet if skeleton.parents[j] not in feet]
-    points, notes = _sampled(figure), [*figure.notes]
+    step, notes = max(figure.frames // 20, 1), [*figure.notes]
+    if skeleton is None:  # some 20 frames (S, J, 3), NaN where not measured
+        points = torch.where(figure.valid[::step, :, None], figure.positions[::step].double(), torch.nan)
+    else:
+        points = figure.cut(step=step).to(torch.float64).positions
     if not 5 <= figure.fps <= 1000:
-        said = f"{figure.fps:.4g} frames per second is no usual rate"
-        notes.append(f"{said}: give the right one with fps=, or --fps-in")
+        notes.append(f"{figure.fps:.4g} frames per second is no usual rate: give the right one with fps=, or --fps-in")
     if axes is None and up is None:
         zero = None if says_up else _rest_up(skeleton, head, feet)
         up, said, sure = _up(points, head, feet, says_up or zero, trust, skeleton is None)
@@ -122,9 +124,9 @@ def to_world(
             raise at.error("neither the file nor its points say what is up", place="axes", remedy=remedy)
         said = f"the zero pose stands along it, {said}" if zero and up == zero else said
         guessed = skeleton is None and (says_up is None or trust < 1)  # who lies looks like who stands
-        said += f"; if they do not stand, {_SAY_UP}" if sure and guessed else ""
-        said += "" if sure else f", too close to be sure: {_SAY_UP}"
-        notes += [f"up axis {up} detected: {said}"] if up != says_up or guessed or not sure else []
+        doubt = f"; if they do not stand, {_SAY_UP}" if guessed else ""
+        doubt = doubt if sure else f", too close to be sure: {_SAY_UP}"
+        notes += [f"up axis {up} detected: {said}{doubt}"] if up != says_up or doubt else []
     if unit is None:
         size = _size(points, head, feet, skeleton)
         if skeleton is not None and not size > 0:
@@ -151,14 +153,6 @@ def _turned(figure: Figure, scale: float, axes: str) -> Figure:
     return replace(figure, skeleton=skeleton, root=root.float(), rot=rot.float())
 
 
-def _sampled(figure: Figure) -> Tensor:
-    """Some 20 frames of points (S, J, 3), float64; NaN where not measured."""
-    step = max(figure.frames // 20, 1)
-    if isinstance(figure, Motion):
-        return figure.cut(step=step).to(torch.float64).positions
-    return torch.where(figure.valid[::step, :, None], figure.positions[::step].double(), torch.nan)
-
-
 def _found(words: re.Pattern, names: list[str]) -> list[int]:
     return [i for i, name in enumerate(names) if words.search(name)]
 
@@ -182,8 +176,7 @@ def _rest_up(skeleton: Skeleton | None, head: list[int], feet: list[int]) -> str
 
 
 def _along(axis: str, way: Tensor) -> Tensor:
-    part = way[..., "xyz".index(axis[-1])]
-    return -part if axis[0] == "-" else part
+    return way[..., "xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1)
 
 
 def _up(
@@ -240,9 +233,8 @@ def _unit(size: float, says: float | None, is_figure: bool) -> tuple[str | float
     if found:
         wrong = "" if says is None else f", not {says:g} m as the file says; say it with unit=, or --unit"
         return found[0], f"unit {found[0]} detected{wrong}: {tall}"
-    if not is_figure:
-        return None, ""
-    return ASSUMED / size, f"no unit fits, so it is made {ASSUMED:.2f} m tall: {tall}; give it with unit=, or --unit"
+    made = f"no unit fits, so it is made {ASSUMED:.2f} m tall: {tall}; give it with unit=, or --unit"
+    return (ASSUMED / size, made) if is_figure else (None, "")
 
 
 def longest_chain(skeleton: Skeleton) -> float:
@@ -264,9 +256,8 @@ def rerooted(
     The root is the deepest joint of the trunk at the top that moves; the joints above it are composed into it, and what
     else hangs on them (handles of inverse kinematics) is left out. Both are noted.
 
-    Args:
-        translations: a joint below that moves is kept at its mean place and noted; "strict" refuses if it moves more
-            than ``RIGID``, "mean" never. lines: where each joint stands in the file, for messages.
+    translations: a joint below that moves is kept at its mean place and noted; "strict" refuses if it moves more than
+    ``RIGID``, "mean" never. lines: where each joint stands in the file, for messages.
     """
     names, parents, offset = skeleton.names, skeleton.parents, skeleton.offsets.double().numpy()
     reach = longest_chain(skeleton) or 1e-12
@@ -281,13 +272,8 @@ def rerooted(
     if above:
         said = ", ".join(names[j] for j in above)
         at.notes.append(f"root is {names[top]}, whose position changes; it takes on the motion of {said} above")
-    order = {top: 0}
-    for j in range(len(names)):
-        if parents[j] in order:
-            order[j] = len(order)
-    kept = list(order)
-    beside = [names[j] for j in range(len(names)) if j not in order and j not in above]
-    if beside:
+    kept = [j for j, path in enumerate(ancestors(parents)) if top in (j, *path)]
+    if beside := [name for j, name in enumerate(names) if j not in (*kept, *above)]:
         at.notes.append(f"joints beside the root are left out: {', '.join(beside)}")
     mean = place.mean(0)
     for j in kept[1:]:
@@ -305,19 +291,17 @@ def rerooted(
     rot[:, 0] = first
     offsets = torch.from_numpy(np.where(strays[:, None], mean, offset)[kept])
     offsets[0] = 0
-    tree = tuple(order.get(parents[j], -1) for j in kept)
+    tree = (-1, *(kept.index(parents[j]) for j in kept[1:]))
     return kept, Skeleton(tuple(names[j] for j in kept), tree, offsets), root, rot
 
 
 def _trunk(parents: tuple[int, ...]) -> list[int]:
     """From the root down, as long as one child holds nearly all that is below."""
-    size = [1] * len(parents)
-    for j in range(len(parents) - 1, 0, -1):
-        size[parents[j]] += size[j]
+    size = Counter(j for child, path in enumerate(ancestors(parents)) for j in (child, *path))
     chain = [0]
-    while True:
-        below = [j for j in range(len(parents)) if parents[j] == chain[-1]]
-        trunk = max(below, key=lambda j: size[j], default=None)
-        if trunk is None or (len(below) > 1 and size[trunk] < _TRUNK * (size[chain[-1]] - 1)):
-            return chain
+    while below := [j for j, parent in enumerate(parents) if parent == chain[-1]]:
+        trunk = max(below, key=lambda j: size[j])
+        if len(below) > 1 and size[trunk] < _TRUNK * (size[chain[-1]] - 1):
+            break
         chain.append(trunk)
+    return chain

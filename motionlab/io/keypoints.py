@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -28,18 +27,16 @@ from motionlab.io import tracking, video
 from motionlab.io.detection_files import from_json, from_lines, from_npz, from_trc
 from motionlab.io.detections import MOST_FRAMES, NOBODY, PLAIN, Detections, from_folder, names_of
 from motionlab.io.reading import LARGEST, Location, frame_rate, image_size, read_json, read_text, reading
+from motionlab.io.video import Video
 from motionlab.observation import Observation2D
 
-if TYPE_CHECKING:
-    from motionlab.io.video import Video
-
-#: Scores to this are ones that ran over; beyond they are of another scale.
-_OVER = 1.2
+_OVER = 1.2  # scores to this are ones that ran over; beyond they are of another scale
 #: Coordinates of which half stay below this are shares of the image; of which so many are negative, no place in it.
 _SHARE, _NEGATIVE = 2.0, 0.25
 #: Points lie on the border of the image within so many pixels; and were put there where that many, and this share of
 #: all points, lie on the same side.
 _ON, _REPEATED, _PUT = 1e-3, 4, 0.005
+_GAP = 0.5  # seconds for which a person may vanish and still be the same one
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +80,11 @@ class Footage:
 
     def table(self) -> list[dict[str, object]]:
         """Lists the people: a row each, with frames seen, their share, mean confidence of what was seen, height."""
-        rows = []
-        for track in self.tracks:
-            count, sure = len(track.frames), track.points[..., 2]
-            row = {"person": track.id, "frames": count, "share %": 100 * count / self.frames}
-            rows.append(row | {"confidence": float(sure[sure > 0].mean()), "height px": track.height})
-        return rows
+        return [
+            {"person": track.id, "frames": len(track.frames), "share %": 100 * len(track.frames) / self.frames,
+             "confidence": float(track.points[..., 2][track.points[..., 2] > 0].mean()), "height px": track.height}
+            for track in self.tracks
+        ]  # fmt: skip
 
     def chosen(self, which: str | int | Sequence[str | int]) -> list[Person]:
         """Returns who is meant: "longest" seen, "largest" in the image, "all" who are there for a second, or ids.
@@ -148,21 +144,17 @@ class Footage:
         Some detectors put there what they take to be outside: then many lie on the same border to the digit.
         """
         points = np.concatenate([track.points.reshape(-1, 3) for track in self.tracks])
-        points, borders = points[points[:, 2] > 0], []
-        for axis in (0, 1):
-            for place in (0.0, size[axis] - 1.0, float(size[axis])):
-                if (np.abs(points[:, axis] - place) < _ON).sum() >= max(_REPEATED, _PUT * len(points)):
-                    borders.append((axis, place))
+        points = points[points[:, 2] > 0]
+        borders = [(axis, place) for axis in (0, 1) for place in (0.0, size[axis] - 1.0, float(size[axis]))
+                   if (np.abs(points[:, axis] - place) < _ON).sum() >= max(_REPEATED, _PUT * len(points))]  # fmt: skip
         if not borders:
             return self, []
 
         def outside(points: np.ndarray) -> np.ndarray:
             return np.any([np.abs(points[..., axis] - place) < _ON for axis, place in borders], 0)
 
-        tracks = [
-            replace(track, points=np.where(outside(track.points)[..., None], np.float32(0), track.points))
-            for track in self.tracks
-        ]
+        inside = (np.where(outside(each.points)[..., None], np.float32(0), each.points) for each in self.tracks)
+        tracks = [replace(track, points=points) for track, points in zip(self.tracks, inside, strict=True)]
         said = "of the points lie on the very border of the image: they were outside, left out"
         return self.of(tracks), [f"{outside(points).mean():.1%} {said}"]
 
@@ -181,7 +173,6 @@ def load(
     size: tuple[float, float] | None = None,
     layout: str | None = None,
     lowest: float | None = None,
-    gap: float = 0.5,
     film: Video | None = None,
 ) -> Footage:
     """Reads what a 2-D pose detector wrote, whichever it was, and joins its people through time, in pixels.
@@ -196,7 +187,6 @@ def load(
         size: width and height of the image in pixels; needed where coordinates are shares of the image.
         layout: one of ``detections.LAYOUTS``; None takes the file's names, or decides by the number of keypoints.
         lowest: confidence below which a point was not seen; None is what the detector itself draws by.
-        gap: seconds for which a person may vanish and still be the same one.
         film: the video of the keypoints. Numbers up to its length are its frames, or those of its images; it says
             rate and size where the file does not.
 
@@ -220,7 +210,7 @@ def load(
         first, given = min(found.frames), sorted(found.frames)
         ids = [found.ids.get(first + n, []) for n in range(len(frames))]
         stride = np.median(np.diff(given)) if len(given) > 1 else 1
-        gap = max(1, round(min(max(gap * found.fps, stride), len(frames))))
+        gap = max(1, round(min(max(_GAP * found.fps, stride), len(frames))))
         tracks, more = _told_apart(frames, ids, gap=gap)
         everything = (found.detector, names, found.fps, size, first, len(frames), (*notes, *more))
         return Footage(at.path, *everything, tuple(sorted(tracks, key=_longest)))
@@ -258,11 +248,9 @@ def _in_order(
     first, last = order[0], order[-1]
     if last - first >= MOST_FRAMES:
         raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
-    counts = {n: frames[n].shape[1] for n in order if len(frames[n])}
-    count = next(iter(counts.values()), 0)
-    if other := next((n for n in counts if counts[n] != count), None):
-        message = f"expected {count} keypoints as in the frames before, got {counts[other]}"
-        raise at.error(message, place=f"frame {other}")
+    count, *others = [(frames[n].shape[1], n) for n in order if len(frames[n])] or [(0, 0)]
+    if other := next((each for each in others if each[0] != count[0]), None):
+        raise at.error(f"expected {count[0]} keypoints, got {other[0]}", place=f"frame {other[1]}")
     rate = fps or told or (film and film.fps)
     if rate is None:
         raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
@@ -300,12 +288,10 @@ def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | Non
         people[unsure] = 0
     seen = score > 0
     if seen.any() and (xy[seen] < 0).mean() > _NEGATIVE:
-        message = "coordinates around zero are no place in an image, but 3-D (world landmarks in metres) or centred"
-        raise at.error(message, place="coordinates", remedy="save the image's landmarks, in pixels or from 0 to 1")
+        raise at.error("around zero, as of 3-D or centred points", place="coordinates", remedy="save them in pixels")
     if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
         if size is None:
-            message = "coordinates are shares of an image whose size the file does not hold"
-            raise at.error(message, place="size", remedy="pass size=(width, height), or --size")
+            raise at.error("these are shares of the image", place="size", remedy="say its size: size=, or --size")
         xy *= size
         notes.append(f"coordinates are shares of the image: multiplied by its size, {size[0]:g} x {size[1]:g}")
     return notes
@@ -346,15 +332,13 @@ def _some(ids: Sequence[int]) -> str:
 
 
 def load_person(
-    folder: str | Path, *, fps: float, layout: str | None = None, person: str | int = "longest", gap: float = 0.5
+    folder: str | Path, *, fps: float, layout: str | None = None, person: str | int = "longest"
 ) -> Observation2D:
-    """Reads one person's keypoints through time, in pixels, as :func:`load`; but every point
-    counts, however unsure.
+    """Reads one person's keypoints through time, in pixels, as :func:`load`; but every point counts, however unsure.
 
-    Args:
-        person: "longest" (seen in most frames), "largest" (tallest in the image), or an id.
+    person: "longest" (seen in most frames), "largest" (tallest in the image), or an id.
 
     Raises:
         DataError: see there; or nobody has the id.
     """
-    return load(folder, fps=fps, layout=layout, lowest=0.0, gap=gap).person(person)
+    return load(folder, fps=fps, layout=layout, lowest=0.0).person(person)

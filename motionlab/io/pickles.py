@@ -35,7 +35,7 @@ def read_pickle(at: Location, data: bytes) -> object:
         raise at.error("packed by bz2 or lzma", remedy="pack it as zlib: joblib.dump(..., compress=3)")
     if data[:1] == b"x" or data[:2] == b"\x1f\x8b":  # zlib and gzip, in which joblib packs
         data = zlib.decompressobj(_EITHER).decompress(data, LARGEST)
-    if data[:2] == b"PK" or data[: len(_LEGACY)] == _LEGACY:
+    if data[:2] == b"PK" or data.startswith(_LEGACY):
         with torch.serialization.safe_globals(_OF_NUMPY):
             try:
                 return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
@@ -66,20 +66,18 @@ _OF_NUMPY = [
     np.ndarray, np.dtype, codecs.encode, *{type(np.dtype(kind)) for kind in "?bBhHiIlLefd"},
 ]  # fmt: skip
 
-#: For zlib: a header of its own or of gzip.
-_EITHER = 32 + zlib.MAX_WBITS
-#: How files of torch before its version 1.6 begin.
-_LEGACY = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
+_EITHER = 32 + zlib.MAX_WBITS  # for zlib: a header of its own or of gzip
+_LEGACY = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # how files of torch before its version 1.6 begin
 
 
 class _Record:
     """What a pickle said about one object: the name of its class, the arguments, the state. It does nothing."""
 
-    name = ""
+    name, state, args = "", None, ()
 
     def __new__(cls, *args, **_):
         record = object.__new__(cls)
-        record.args, record.state = args, None
+        record.args = args
         return record
 
 
@@ -87,8 +85,7 @@ def _record(name: str) -> type[_Record]:
     return type("Record", (_Record,), {"name": name.rpartition(".")[2]})
 
 
-#: Modules of Python 2 by the name that they have now.
-_MOVED = {"__builtin__": "builtins", "copy_reg": "copyreg"}
+_MOVED = {"__builtin__": "builtins", "copy_reg": "copyreg"}  # modules of Python 2, by their names now
 #: What is built of a name: containers, bytes, and records of numpy's arrays, torch's tensors and joblib's arrays, which
 #: lie in the file behind their records.
 _BUILT = {
@@ -151,21 +148,20 @@ def arrays_of(at: Location, tree: object, keys: Iterable[str], place: str) -> di
 
 def array_of(at: Location, value: object) -> np.ndarray:
     """Makes an array of what a pickle said: of numpy, torch, scipy (sparse), chumpy around one of these, or numbers."""
+    if isinstance(value, list | tuple):
+        return np.asarray([array_of(at, each) if isinstance(each, _Record) else each for each in value])
+    if isinstance(value, int | float | np.ndarray):
+        return np.asarray(value)
+    if isinstance(value, torch.Tensor):
+        return value.detach().cpu().numpy()
     if not isinstance(value, _Record):
-        if isinstance(value, list | tuple):
-            return np.asarray([array_of(at, each) if isinstance(each, _Record) else each for each in value])
-        if isinstance(value, int | float | np.ndarray):
-            return np.asarray(value)
-        if isinstance(value, torch.Tensor):
-            return value.detach().cpu().numpy()
         raise at.error(f"holds a {type(value).__name__}, expected an array")
     state = value.state
     if value.name in ("_reconstruct", "ndarray"):
         shape, dtype, fortran, raw = state[-4:]
         return _from_bytes(at, raw, dtype, shape, "F" if fortran else "C")
     if value.name == "_frombuffer":
-        raw, dtype, shape, order = value.args
-        return _from_bytes(at, raw, dtype, shape, order)
+        return _from_bytes(at, *value.args)
     if value.name == "scalar":
         return _from_bytes(at, value.args[1], value.args[0], (), "C")
     if value.name in ("csc", "csr", "coo"):
@@ -196,13 +192,12 @@ def _kind(at: Location, dtype: object) -> np.dtype:
     if not isinstance(code, str) or not re.fullmatch(r"[biuf][1248]", code):
         raise at.error(f"an array of {code!r}, expected plain numbers")
     endian = dtype.state[1] if isinstance(dtype.state, tuple) and len(dtype.state) > 1 else "="
-    return np.dtype(({"<": "<", ">": ">"}.get(endian, "=")) + code)
+    return np.dtype((endian if endian in ("<", ">") else "=") + code)
 
 
 def _from_bytes(at: Location, raw: object, dtype: object, shape: object, order: str) -> np.ndarray:
-    kind = _kind(at, dtype)
+    kind, shape = _kind(at, dtype), _shape(at, shape)
     raw = raw.encode("latin1") if isinstance(raw, str) else raw
-    shape = _shape(at, shape)
     if not isinstance(raw, bytes | bytearray) or len(raw) != kind.itemsize * int(np.prod(shape, dtype=object)):
         raise at.error(f"shape {shape} of {kind} does not fit its bytes")
     return np.frombuffer(raw, kind).reshape(shape, order="F" if order == "F" else "C")
@@ -218,7 +213,7 @@ def _dense(at: Location, form: str, state: object) -> np.ndarray:
     if form == "coo":
         where = (state["row"], state["col"]) if "row" in state else state["coords"]
         return scipy.sparse.coo_array((values, [array_of(at, axis) for axis in where]), shape=shape).toarray()
-    make = {"csc": scipy.sparse.csc_array, "csr": scipy.sparse.csr_array}[form]
-    matrix = make((values, array_of(at, state["indices"]), array_of(at, state["indptr"])), shape=shape)
+    parts = (values, array_of(at, state["indices"]), array_of(at, state["indptr"]))
+    matrix = getattr(scipy.sparse, f"{form}_array")(parts, shape=shape)
     matrix.check_format(full_check=True)
     return matrix.toarray()

@@ -1,8 +1,7 @@
 """Positions without rotations: labelled 3-D points from AniDance (npz), Captury's tables (csv), OpenSim's TRC and C3D.
 
-AniDance: 24 marker-like positions per frame, which the files name ``center, bone_0 .. bone_22``. Tree and names were
-worked out from 29,364 frames of 38 dances: the tree spans the smallest spread of distances (ankle, heel and toe 1.5 to
-2.0 cm; hips and shoulders 3.4 to 4.3: these sit on the skin); left is left if knees bend forward and elbows backward.
+AniDance: 24 marker-like positions per frame, which the files name ``center, bone_0 .. bone_22``. What they are was
+worked out from 38 dances: neighbours keep their distance to some centimetres, knees bend forward and elbows backward.
 The floor drifts by tens of centimetres: good for poses relative to the centre, not for contacts or bone lengths.
 
 Captury: joint positions in space (biomech.csv) and projected into each camera (projectedNN.csv).
@@ -23,7 +22,7 @@ from torch import Tensor
 
 from motionlab.errors import check_shape
 from motionlab.io import judging
-from motionlab.io.judging import Axes, Unit, axes_to_matrix, unit_named
+from motionlab.io.judging import Axes, Fps, Unit, axes_to_matrix, unit_named
 from motionlab.io.reading import (
     Location,
     check_keys,
@@ -82,9 +81,8 @@ class Positions:
 
     def select(self, names: list[str] | tuple[str, ...]) -> Positions:
         """Returns some of the points, in the order asked for; KeyError lists the names."""
-        for name in names:
-            if name not in self.names:
-                raise KeyError(f"no point {name!r}; points are {', '.join(self.names)}")
+        if missing := [name for name in names if name not in self.names]:
+            raise KeyError(f"no point {', '.join(missing)}; points are {', '.join(self.names)}")
         pick = [self.names.index(name) for name in names]
         return replace(self, names=tuple(names), positions=self.positions[:, pick], valid=self.valid[:, pick])
 
@@ -116,8 +114,7 @@ def load_biomech(path: str | Path, *, fps: float) -> Positions:
     The columns are counted off by the groups of line 3: the lines below it name only a part of them. The
     ``Angles`` columns are left out: some hold quaternions, some degrees, and the file does not say which.
 
-    Args:
-        fps: frames per second; the table does not hold it (``Framerate`` in the take's meta.txt does).
+    fps: frames per second; the table does not hold it (``Framerate`` in the take's meta.txt does).
 
     Raises:
         DataError: not such a table, a row is too short, or a cell is not a number.
@@ -126,26 +123,25 @@ def load_biomech(path: str | Path, *, fps: float) -> Positions:
         rows = [line.rstrip("\r").split(";") for line in read_text(at).split("\n")]
         if len(rows) < 6 or rows[1][0] != "Frames":
             raise at.error('expected "Frames;<count>"', place="line 2")
-        starts: dict[str, int] = {}
-        column = 3
+        starts, end = {}, 3
         for group in filter(None, (cell.strip() for cell in rows[2])):
-            width = next((w for end, w in _WIDTHS.items() if group.endswith(end)), None)
+            width = next((w for kind, w in _WIDTHS.items() if group.endswith(kind)), None)
             if width is None:
                 break
             if width == 3:
-                starts.setdefault(group.removesuffix("s").removesuffix("Position"), column)
-            column += width
+                starts.setdefault(group.removesuffix("s").removesuffix("Position"), end)
+            end += width
         if not starts:
             raise at.error("no positions in it", place="line 3")
         frames = int(rows[1][1])
         body = rows[5 : 5 + max(frames, 0)]
         if not body or len(body) != frames:
             raise at.error(f"promises {frames} frames, holds {len(body)}", place="line 2")
-        table = _table(at, [row[3:column] for row in body], column - 3, 6)
-        picks = torch.tensor(list(starts.values()))[:, None] - 3 + torch.arange(3)
-        world = table[:, picks] / 1000 @ axes_to_matrix("-x-yz").T
+        table = _table(at, [row[3:end] for row in body], end - 3, 6)
+        picks = torch.tensor([*starts.values()])[:, None] - 3 + torch.arange(3)
+        world = (table[:, picks] / 1000 @ axes_to_matrix("-x-yz").T).float()
         valid = torch.ones(world.shape[:2], dtype=torch.bool)
-        return Positions(tuple(starts), world.float(), valid, frame_rate(at, fps, "fps"), at.path.parent.name)
+        return Positions(tuple(starts), world, valid, frame_rate(at, fps, "fps"), at.path.parent.name)
 
 
 def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observation2D:
@@ -153,27 +149,22 @@ def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observati
 
     These are projections of a 3-D fit, not detections: confidence is 1 inside the image and 0 outside.
 
-    Args:
-        camera: gives the size of the image; the table measures both axes in image widths.
-        fps: frames per second.
+    camera: gives the size of the image; the table measures both axes in image widths. fps: frames per second.
 
     Raises:
         DataError: not such a table, a row is too short, or a cell is not a number.
     """
     with reading(path, "export the projected table again") as at:
-        rows = [line.split(",") for line in read_text(at).splitlines() if line.strip()]
-        if len(rows) < 2 or not rows[0][0].startswith("Timestamps"):
-            raise at.error('expected "Timestamps [ms]" first and at least one frame', place="line 1")
-        names = tuple(name.strip() for name in rows[0][1::2] if name.strip())
-        if not names or len(set(names)) < len(names):
-            raise at.error("expected different joint names in every second column", place="line 1")
+        head, *rows = [line.split(",") for line in read_text(at).splitlines() if line.strip()]
+        names = tuple(name.strip() for name in head[1::2] if name.strip())
+        if not rows or not head[0].startswith("Timestamps") or not names or len({*names}) < len(names):
+            raise at.error('expected "Timestamps [ms]", different names in every second column, frames', place="line 1")
         width = 1 + 2 * len(names)
-        pixels = _table(at, [row[1:width] for row in rows[1:]], width - 1, 2).unflatten(-1, (-1, 2)) * camera.width
+        pixels = _table(at, [row[1:width] for row in rows], width - 1, 2).unflatten(-1, (-1, 2)) * camera.width
         inside = ((pixels >= 0) & (pixels < torch.tensor([camera.width, camera.height]))).all(-1)
-        pixels = torch.where(inside[..., None], pixels, 0.0)
-        fps = frame_rate(at, fps, "fps")
-        name = f"{at.path.parent.name} {at.path.stem}"
-        return Observation2D(pixels.float(), inside.float(), names, fps, camera, name)
+        pixels = torch.where(inside[..., None], pixels, 0.0).float()
+        name, fps = f"{at.path.parent.name} {at.path.stem}", frame_rate(at, fps, "fps")
+        return Observation2D(pixels, inside.float(), names, fps, camera, name)
 
 
 def _table(at: Location, rows: list[list[str]], width: int, first: int) -> Tensor:
@@ -185,16 +176,13 @@ def _table(at: Location, rows: list[list[str]], width: int, first: int) -> Tenso
     return torch.from_numpy(table).double()
 
 
-def load_trc(
-    path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: float | None = None
-) -> Positions:
+def load_trc(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None) -> Positions:
     """Reads the markers of a TRC file in metres, z up.
 
     An empty cell, ``nan``, a marker at exactly (0, 0, 0), and what a row that ends early lacks was not measured.
 
-    Args:
-        unit, fps: instead of what the file says. up, axes: see :func:`motionlab.io.judging.to_world`; by default
-            OpenSim's convention (x forward, y up, z right: "zxy"), unless heads are above feet along another.
+    unit, fps: instead of what the file says. up, axes: see :func:`motionlab.io.judging.to_world`; by default OpenSim's
+    convention (x forward, y up, z right: "zxy"), unless heads are above feet along another.
 
     Raises:
         DataError: header and table do not fit each other, a cell is not a number, the unit is not known.
@@ -202,10 +190,14 @@ def load_trc(
     judging.check_given(unit, up, axes)
     with reading(path, "export the table again as a TRC file") as at:
         head, names, rows = trc_table(at, read_text(at))
-        rate = float(head["DataRate"]) if fps is None else fps
-        rate = frame_rate(at, rate, "line 3, DataRate", judging.SAY_RATE)
-        if fps is None:
-            _doubt_rate(at, rows[:, 1], rate)
+        rate = frame_rate(at, float(head["DataRate"]) if fps is None else fps, "line 3, DataRate", judging.SAY_RATE)
+        steps = np.diff(rows[:, 1])  # tables without times say nothing
+        usual = np.median(steps) if len(steps) and fps is None else 0.0
+        if usual > 0 and abs(usual * rate - 1) > 0.02:
+            said = f"its times are of {1 / usual:.4g} frames per second, not of {rate:g}, which is taken"
+            at.notes.append(f"{said}: {judging.SAY_RATE}")
+        if usual > 0 and (jumps := int(((steps > 1.6 * usual) | (steps <= 0)).sum())):
+            at.notes.append(f"frames are missing, or doubled: its times jump {jumps} times")
         points = rows[:, 2:].reshape(len(rows), len(names), 3)
         figure = _measured(at, names, points, np.isfinite(points).all(-1), rate)
         at.place = "line 3, Units"
@@ -217,8 +209,7 @@ def _measured(at: Location, names: tuple[str, ...], points: np.ndarray, valid: n
     """Points (T, K, 3) of a file's own unit and axes; those at exactly zero are not measured either, and noted."""
     zero = valid & (points == 0).all(-1)
     if zero.any():
-        share = f"{zero.sum()} of {zero.size}"
-        at.notes.append(f"{share} points are at exactly (0, 0, 0): taken as not measured")
+        at.notes.append(f"{zero.sum()} of {zero.size} points are at exactly (0, 0, 0): taken as not measured")
     valid = torch.from_numpy(valid & ~zero)
     points = torch.where(valid[..., None], torch.from_numpy(points), 0.0)
     return Positions(names, points, valid, fps, at.path.stem, notes=tuple(at.notes))
@@ -250,37 +241,22 @@ def trc_table(at: Location, text: str) -> tuple[dict[str, str], tuple[str, ...],
             raise at.error("a coordinate is not a usable number")
     if not rows or not names:
         raise at.error("no frames" if names else "no markers", place="line 6" if names else "line 4")
-    short = [len(row) for row in rows if width - len(row) > 1]  # one empty cell often lacks its tab
-    if short:
-        at.notes.append(f"{len(short)} of {len(rows)} rows end early: what they lack was not measured")
+    if short := sum(width - len(row) > 1 for row in rows):  # one empty cell often lacks its tab
+        at.notes.append(f"{short} of {len(rows)} rows end early: what they lack was not measured")
     if len(rows) != frames:
         at.notes.append(f"NumFrames promises {frames} frames: the {len(rows)} that are there are read")
     return head, names, np.array([row + [math.nan] * (width - len(row)) for row in rows])
 
 
-def _doubt_rate(at: Location, times: np.ndarray, rate: float) -> None:
-    """Tells where times (T,) speak against the rate, or leave frames out; tables without times say nothing."""
-    steps = np.diff(times)
-    usual = np.median(steps) if len(steps) else 0.0
-    if usual > 0 and abs(usual * rate - 1) > 0.02:
-        said = f"its times are of {1 / usual:.4g} frames per second, not of {rate:g}, which is taken"
-        at.notes.append(f"{said}: {judging.SAY_RATE}")
-    if usual > 0 and (jumps := int(((steps > 1.6 * usual) | (steps <= 0)).sum())):
-        at.notes.append(f"frames are missing, or doubled: its times jump {jumps} times")
-
-
-def load_c3d(
-    path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: float | None = None
-) -> Positions:
+def load_c3d(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None) -> Positions:
     """Reads labelled points of a C3D file in metres, z up; analogue channels are skipped.
 
     Read with NumPy alone: the C++ readers crash or hang on damaged files, and no exception can stop that.
 
     A point with a negative residual, at exactly (0, 0, 0) or whose coordinates are not finite was not measured.
 
-    Args:
-        unit, up, axes, fps: see :func:`motionlab.io.judging.to_world`; by default what the file's ``POINT:UNITS``,
-            ``Y_SCREEN`` (the axis that points up on a screen) and ``RATE`` say, else what heads above feet tell.
+    unit, up, axes, fps: see :func:`motionlab.io.judging.to_world`; by default what the file's ``POINT:UNITS``,
+    ``Y_SCREEN`` (the axis that points up on a screen) and ``RATE`` say, else what heads above feet tell.
 
     Raises:
         DataError: not a C3D file, damaged, an unknown processor, or a unit or an up axis that neither file nor caller
@@ -363,7 +339,7 @@ def _c3d_table(
     at.place, count = "3-D data", int(header[1])
     scale = float(numbers(4, 1, 12)[0])
     kind = 4 if scale < 0 else 2  # which is also its bytes
-    if not math.isfinite(scale) or scale == 0:
+    if not 0 < abs(scale) < math.inf:
         raise at.error(f"scale {scale} is not usable")
     width, start = 4 * count + int(header[2]), _C3D_BLOCK * (int(header[8]) - 1)
     held = max(length - start, 0) // (width * kind)

@@ -24,12 +24,9 @@ from motionlab.motion import Motion
 
 #: Kana, or two signs of Chinese in a row; an accent of Latin-1 before a letter looks like one.
 _JAPANESE = re.compile("[\u3041-\u30fe]|[\u4e00-\u9fff]{2}")
-#: Files, archive members and promised arrays beyond this many bytes are refused before memory is asked for.
-LARGEST = 2**31
-#: Numbers from here on are refused: products beyond float32's square root overflow, and nothing physical is that large.
-_USABLE = 1e18
-#: Frames per second that people record at.
-RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 240)
+LARGEST = 2**31  # bytes: larger files, members and promised arrays are refused before memory is asked for
+_USABLE = 1e18  # numbers from here on are refused: products overflow beyond float32's square root
+RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 240)  # frames per second that people record at
 
 
 @dataclass
@@ -96,6 +93,15 @@ def read_text(at: Location) -> str:
     return text
 
 
+def text_lines(at: Location, text: str) -> Iterator[str]:
+    """Yields the lines that are not blank, stripped; ``at.place`` is there, and behind the last at the whole file."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        at.place = f"line {number}"
+        if line := line.strip():
+            yield line
+    at.place = ""
+
+
 def read_json(at: Location, *, nan: bool = False) -> object:
     """Reads the whole file as JSON. NaN and Infinity, which JSON does not have, are refused; ``nan`` lets NaN pass,
     where it stands for what was not measured."""
@@ -131,22 +137,18 @@ def read_npz(at: Location, keys: tuple[str, ...] | None = None) -> dict[str, np.
 
 def check_keys(at: Location, arrays: dict[str, object], keys: Iterable[str]) -> None:
     """Checks that a file has all of these keys; the error names those that it lacks, and what is there."""
-    missing = ", ".join(key for key in keys if key not in arrays)
-    if missing:
+    if missing := ", ".join(key for key in keys if key not in arrays):
         raise at.error(f"missing {missing}; found {', '.join(arrays) or 'none that is known'}", place=missing)
 
 
 def read_npy(at: Location, data: bytes, objects: Callable | None = None) -> object:
     """Reads the array of a .npy; of one of Python objects what ``objects(at, pickle)`` makes, else it is refused."""
     stream = io.BytesIO(data)
-    version = np.lib.format.read_magic(stream)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    if version not in header:
-        raise at.error(f"npy version {version} is not known")
-    shape, fortran, dtype = header[version](stream)
-    if dtype.hasobject and objects is not None:
-        return objects(at, stream.read())
+    shape, fortran, dtype = header[np.lib.format.read_magic(stream)](stream)
     if dtype.hasobject:
+        if objects is not None:
+            return objects(at, stream.read())
         raise at.error("holds pickled Python objects, which are never loaded", remedy="save plain arrays: numpy.savez")
     if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize > len(data):
         raise at.error(f"promises shape {shape} of {dtype} but has only {len(data)} bytes")
@@ -160,10 +162,8 @@ def checked_array(
     """Checks an array's axes and that every number is finite; returns it as float64. The error names the first that
     is not.
 
-    Args:
-        shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one.
-        largest: numbers from here on are refused.
-        nan: let NaN and None pass, as NaN.
+    shape: words such as ``"T 24 3"``: a number is a fixed size, a word any size of at least one. largest: numbers from
+    here on are refused. nan: let NaN and None pass, as NaN.
     """
     place = place if place is not None else at.place
     try:
@@ -175,10 +175,8 @@ def checked_array(
     if array.dtype.kind not in "fiub":
         raise at.error(f"expected numbers, got {array.dtype}", place=place)
     words = shape.split()
-    fits = array.ndim == len(words) and all(
-        n == int(w) if w.isdigit() else n > 0 for n, w in zip(array.shape, words, strict=True)
-    )
-    if not fits:
+    sizes = [int(word) if word.isdigit() else max(size, 1) for word, size in zip(words, array.shape, strict=False)]
+    if (array.ndim, *sizes) != (len(words), *array.shape):
         raise at.error(f"expected shape ({', '.join(words)}), got {array.shape}", place=place)
     array = array.astype(np.float64)
     bad = ~(np.abs(array) < largest) & ~(nan & np.isnan(array))

@@ -22,9 +22,7 @@ from motionlab.io.reading import reading
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
-_TEXTS = (".json", ".txt")  # told by their beginnings
-#: Loader of a single file by suffix, for folders that are not known by name.
-SUFFIXES: dict[str, Callable] = {suffix: loader for suffix, loader in io.LOADERS.items() if suffix not in _TEXTS}
+_TEXTS = (".json", ".txt")
 _MOST = 8  # kinds of notes that are told
 _SET = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
 
@@ -89,20 +87,15 @@ class Row:
     guessed: tuple[str, ...] = ()
 
 
-def recordings(
-    folder: str | Path, source: str | None = None, *, video_fps: float | None = None, reading: Mapping | None = None
-) -> Iterator[Recording]:
+def recordings(folder: str | Path, source: str | None = None, *, reading: Mapping | None = None) -> Iterator[Recording]:
     """Finds every recording of the folder, or of one source, sorted by source and path.
 
-    Args:
-        video_fps: frames per second of OpenPose folders of one's own, which do not store it; without it their
-            loader raises a DataError that asks for it.
-        reading: options for those loaders that take them (``unit``, ``up``, ...).
+    reading: options for those loaders that take them (``unit``, ``up``, ``fps``, ...).
 
     Raises:
         MissingData: the folder, or the source in it, is not there or holds nothing that a loader knows.
     """
-    for name, _, path, loader in _found(Path(folder), source, video_fps):
+    for name, _, path, loader in _found(Path(folder), source, None):
         yield Recording(name, path, partial(io.guided, loader, options=reading) if reading else loader)
 
 
@@ -114,15 +107,14 @@ def passed_over(folder: str | Path) -> list[str]:
     """
     folder, found = Path(folder), []
     for name, place in _places(folder).items():
-        flat = place == folder
-        used = {path for _, path, _ in _files(name, place, flat, None)}
-        kinds: dict[str, list[Path]] = {}
-        for path in _below(place, flat):
+        used = {path for _, path, _ in _files(name, place, place == folder, None)}
+        kinds: dict[str, list[str]] = {}
+        for path in _below(place, place == folder):
             if not {path, path.parent} & used:
-                kinds.setdefault(path.suffix.lower(), []).append(path)
-        for suffix, paths in kinds.items():
+                kinds.setdefault(path.suffix.lower(), []).append(path.name)
+        for suffix, names in kinds.items():
             why = "no recording of this source" if name in SOURCES else io.why_not(suffix)
-            found.append(f"{name}: {len(paths)} {suffix or 'files without ending'}, such as {paths[0].name}: {why}")
+            found.append(f"{name}: {len(names)} {suffix or 'files without ending'}, such as {names[0]}: {why}")
     return found
 
 
@@ -131,7 +123,8 @@ def inventory(
 ) -> list[Row]:
     """Loads every recording and counts: one row per source and kind of file. Arguments as of ``recordings``.
 
-    A recording that cannot be read stops nothing: it stands in ``unread`` of its row.
+    A recording that cannot be read stops nothing: it stands in ``unread`` of its row. video_fps: frames per second of
+    OpenPose folders of one's own, which do not store it.
 
     Raises:
         MissingData: see ``recordings``.
@@ -148,8 +141,7 @@ def inventory(
         _, frames, rates, points, *_ = zip(*read, strict=True) if read else ((0,),) * 4
         minutes = sum(t / fps for _, t, fps, *_ in read) / 60
         seen = sum(share * t for _, t, _, _, share, _ in read) / max(sum(frames), 1)
-        spans = (min(rates), max(rates)), (min(points), max(points))
-        licence = SOURCES[name][0] if name in SOURCES else "not known"
+        spans, licence = ((min(each), max(each)) for each in (rates, points)), SOURCES.get(name, ("not known",))[0]
         guessed = guesses((path, notes) for path, *_, notes in read)
         rows.append(Row(name, kind, len(read), minutes, *spans, seen, licence, tuple(unread), guessed))
     return rows
@@ -157,11 +149,10 @@ def inventory(
 
 def guesses(noted: Iterable[tuple[Path, Sequence[str]]]) -> tuple[str, ...]:
     """Sums up notes of files, doubts first: those that differ by numbers alone are one, of which the first is told."""
-    kinds: dict[str, list[str]] = {}
-    for path, notes in noted:
-        for note in notes:
-            kind = ("--" not in note, re.sub(r"[\d.]+", "0", note.partition(":")[0]))  # what offers an option doubts
-            kinds.setdefault(kind, []).append(f"{path.name}: {note}")
+    kinds: dict[tuple[bool, str], list[str]] = {}
+    for path, note in ((path, note) for path, notes in noted for note in notes):
+        kind = ("--" not in note, re.sub(r"[\d.]+", "0", note.partition(":")[0]))  # what offers an option doubts
+        kinds.setdefault(kind, []).append(f"{path.name}: {note}")
     told = [kinds[kind] for kind in sorted(kinds, key=lambda kind: (kind[0], -len(kinds[kind])))]
     more = [f"{len(told) - _MOST} notes more, of other kinds"] if len(told) > _MOST else []
     return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:_MOST]), *more)
@@ -204,18 +195,16 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
         return
     views = set()
     for path in _below(place, flat):
-        suffix = path.suffix.lower()
-        if suffix in SUFFIXES:
-            yield suffix[1:], path, SUFFIXES[suffix]
-        elif suffix in _TEXTS:
+        suffix, head = path.suffix.lower(), b""
+        if suffix in _TEXTS:  # told by their beginnings
             head = b'"Frames"'  # of one that cannot be opened, its loader says so
             with suppress(OSError), path.open("rb") as file:
                 head = file.read(4096)
-            if b'"people"' in head and path.parent not in views:
-                views.add(path.parent)
-                yield "openpose", path.parent, partial(keypoints.load_person, fps=video_fps)
-            elif b'"Frames"' in head:
-                yield suffix[1:], path, clips.load_deepmimic
+        if b'"people"' in head and path.parent not in views:
+            views.add(path.parent)
+            yield "openpose", path.parent, partial(keypoints.load_person, fps=video_fps)
+        elif suffix in io.LOADERS and (suffix not in _TEXTS or b'"Frames"' in head):
+            yield suffix[1:], path, io.LOADERS[suffix]
 
 
 def _below(place: Path, flat: bool) -> list[Path]:

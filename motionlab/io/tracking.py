@@ -6,18 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-#: A person may move by this share of their own size between two sightings.
-_REACH = 0.3
-#: Keypoints that two sightings must share before their distance says anything.
-_SHARED = 3
-#: Boxes that share this part of their union may be one person's.
-_OVERLAP = 0.4
-#: Two sightings in one frame that are no farther apart than this share of their size show one person.
-_TWIN = 0.08
-#: Points that are compared: the body's; those of face and hands come after them in every layout, and follow it.
-_BODY = 33
-#: People who are looked at in one frame, the largest first; twice as many may be missed at a time.
-_MOST = 100
+_REACH = 0.3  # share of their own size by which a person may move between two sightings
+_SHARED = 3  # keypoints that two sightings must share before their distance says anything
+_OVERLAP = 0.4  # share of their union that boxes of one person may share
+_TWIN = 0.08  # share of their size by which two sightings in one frame may be apart and show one person
+_BODY = 33  # points that are compared: those of face and hands come after the body's in every layout, and follow it
+_MOST = 100  # people who are looked at in one frame, the largest first; twice as many may be missed at a time
 
 
 @dataclass
@@ -61,16 +55,13 @@ def join(frames: list[np.ndarray], *, gap: int) -> list[Track]:
         if len(alive) > 2 * _MOST:
             alive = sorted(alive, key=lambda track: track.people[-1][0])[-2 * _MOST :]
         seen = [k for k, person in enumerate(people) if (person[:, 2] > 0).any()]
-        if len(seen) > _MOST:
-            seen = sorted(sorted(seen, key=lambda k: -_extent(people[k]))[:_MOST])
-        free = dict.fromkeys(seen)
+        seen = sorted(sorted(seen, key=lambda k: -_extent(people[k]))[:_MOST])
+        free = {k: people[k][:_BODY] for k in seen}
         for costs, most in ((_distances, _REACH), (_apart, 1 - _OVERLAP)):
             waiting = [track for track in alive if track.people[-1][0] < frame]
-            for track, k in _assigned(waiting, {k: people[k][:_BODY] for k in free}, frame, costs, most):
-                track.add(frame, k, people[k][:_BODY])
-                del free[k]
-        for k in free:
-            person = people[k][:_BODY]
+            for track, k in _assigned(waiting, free, frame, costs, most):
+                track.add(frame, k, free.pop(k))
+        for k, person in free.items():
             alive.append(Track([], person, person))
             alive[-1].add(frame, k, person)
             tracks.append(alive[-1])
@@ -98,22 +89,19 @@ def continued(tracks: dict[int, list[tuple[int, int]]], frames: list[np.ndarray]
     One that begins within ``gap`` frames of another's end goes on with it, if it begins where that ended: within
     ``_REACH``, as ``join`` asks it of two sightings, the best over all pairs.
     """
-    ends: dict[int, Track] = {}
-    whose: dict[int, list[int]] = {}
-    starts: dict[int, dict[int, np.ndarray]] = {}
+    ends, whose, starts = {}, {}, {}
     for name, people in tracks.items():
         frame, index = people[0]
         starts.setdefault(frame, {})[name] = frames[frame][index][:_BODY]
     for frame in sorted(starts):
-        waiting = {name: track for name, track in ends.items() if frame - gap <= track.people[-1][0] < frame}
-        joined = _assigned([*waiting.values()], starts[frame], frame, _distances, _REACH)
-        first = {new: next(name for name in waiting if waiting[name] is track) for track, new in joined}
+        waiting = [track for track in ends.values() if frame - gap <= track.people[-1][0] < frame]
+        joined = {new: track for track, new in _assigned(waiting, starts[frame], frame, _distances, _REACH)}
         for name, person in starts[frame].items():
-            if name not in first:
-                ends[name] = Track([], person, person)
-            whose.setdefault(first.get(name, name), []).append(name)
+            first = next((one for one in ends if ends[one] is joined.get(name)), name)
+            track = ends.setdefault(first, Track([], person, person))
+            whose.setdefault(first, []).append(name)
             for at, index in tracks[name]:
-                ends[first.get(name, name)].add(at, index, frames[at][index][:_BODY])
+                track.add(at, index, frames[at][index][:_BODY])
     return whose
 
 
@@ -166,8 +154,7 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """
     both = (a[..., 2] > 0) & (b[..., 2] > 0)
     apart = np.linalg.norm(a[..., :2] - b[..., :2], axis=-1)
-    shared = both.sum(-1)
-    ordered = np.sort(np.where(both, apart, np.inf), axis=-1)
+    shared, ordered = both.sum(-1), np.sort(np.where(both, apart, np.inf), axis=-1)
     median = np.take_along_axis(ordered, np.maximum(shared - 1, 0)[..., None] // 2, -1)[..., 0]
     size = np.maximum(_extent(a), _extent(b))
     return np.where((shared >= _SHARED) & (size > 0), median / np.maximum(size, 1e-9), np.inf)

