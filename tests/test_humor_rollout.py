@@ -10,8 +10,7 @@ from motionlab import rotation
 from motionlab.errors import ShapeError
 from motionlab.humor import compiled, state, transition
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
-from motionlab.humor.transition import DecoderLayers, Stepper
+from motionlab.humor.rollout import DecoderLayers, Stepper, decode_ahead, rollout, sample_rollout
 from motionlab.skeleton import STANDARD
 from tests.rolled_inputs import F64, first_states
 

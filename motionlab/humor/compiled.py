@@ -19,7 +19,6 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from motionlab import rotation
-from motionlab.humor.transition import DecoderLayers
 
 #: Of ``state``, once more: what is compiled is kept for as long as this file stays as it is.
 _ADDED, _VECTORS, _CHANGES, _STATE = 141, 150, 207, 339
@@ -56,8 +55,8 @@ class LoopedChain(torch.autograd.Function):
     frame before (T, B, 339), contact logits (T, B, 9) and z (T, B, 48). All float32 or all float64."""
 
     @staticmethod
-    def forward(ctx, decoder: DecoderLayers, first: Tensor, u: Tensor, gains: Tensor):
-        """First derivatives only."""
+    def forward(ctx, decoder, first: Tensor, u: Tensor, gains: Tensor):
+        """First derivatives only. decoder: ``rollout.DecoderLayers``."""
         joint, ctx.groups = torch.cat(list(decoder.z_weights)), decoder.groups
         ctx.fixed = _array(gains), tuple(_array(w) for w in decoder.weights), _array(joint), _joined(decoder.gains)
         ctx.skip = _array(decoder.skip)

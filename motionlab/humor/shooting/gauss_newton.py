@@ -59,7 +59,7 @@ class TransitionSlopes(NamedTuple):
     """Derivatives of frame t + 1 in z and in a small change of frame t, N transitions.
 
     of_change (N, 210, 210) and of_z (N, 210, 48): columns are causes. turn (N, 3, 3): from the axes of frame t to
-    those of frame t + 1 (as row vectors from the right, ``transition.Step.turn``).
+    those of frame t + 1 (as row vectors from the right, ``rollout.Step.turn``).
     """
 
     of_change: Tensor
