@@ -110,10 +110,7 @@ def _cubic(a: Trial, b: Trial, low: float, high: float) -> float:
         return (low + high) / 2
     d = a.slope + b.slope - 3 * (a.energy - b.energy) / (a.step - b.step)
     root = d * d - a.slope * b.slope
-    if root < 0:
-        return (low + high) / 2
-    bottom = b.slope - a.slope + 2 * math.sqrt(root)
-    if bottom == 0:
+    if root < 0 or not (bottom := b.slope - a.slope + 2 * math.sqrt(root)):
         return (low + high) / 2
     return min(max(b.step - (b.step - a.step) * ((b.slope + math.sqrt(root) - d) / bottom), low), high)
 
@@ -204,18 +201,10 @@ def begins(what: str, progress: bool | str) -> str | bool:
 
 
 def minimise_batch(
-    energy: Callable[..., Tensor],
-    variables: dict[str, Tensor],
-    *,
-    steps: int = 100,
-    max_closures: int | None = None,
-    inner: int = 20,
-    memory: int = 100,
-    tolerance_grad: float = 1e-7,
-    tolerance_change: float | Tensor = 0.0,
-    unit: bool = False,
-    progress: bool | str = False,
-) -> BatchFit:
+    energy: Callable[..., Tensor], variables: dict[str, Tensor], *, steps: int = 100, max_closures: int | None = None,
+    inner: int = 20, memory: int = 100, tolerance_grad: float = 1e-7, tolerance_change: float | Tensor = 0.0,
+    unit: bool = False, progress: bool | str = False,
+) -> BatchFit:  # fmt: skip
     """Lowers B energies by moving the variables (B, ...) that require gradients; the others are constants.
 
     The tensors passed in are copied, never moved. Ctrl-C, a spent budget or numbers that are not finite end a
@@ -240,8 +229,7 @@ def minimise_batch(
         ShapeError: the energy is not (n,), ``tolerance_change`` not (B,), or the variables differ in their first axis.
         ValueError: no variable requires gradients, or those that do differ in type.
     """
-    machine = _Machine(energy, variables, memory)
-    machine.iterations, machine.tolerance_grad, machine.unit = steps * inner, tolerance_grad, unit
+    machine = _Machine(energy, variables, memory, steps * inner, tolerance_grad, unit)
     tolerance, each = torch.as_tensor(tolerance_change, dtype=torch.float64), (len(machine.clips),)
     if tolerance.ndim and tolerance.shape != each:
         raise ShapeError(f"tolerance_change: expected one number or {each}, got {tuple(tolerance.shape)}")
@@ -282,10 +270,12 @@ class _Clip:
 class _Machine:
     """All clips: points x, directions d and gradients g as rows of (B, N) tensors; one state machine each."""
 
-    iterations, tolerance_grad, unit = 0, 0.0, False
     tolerance_change: list[float]  # of each clip
 
-    def __init__(self, energy: Callable[..., Tensor], variables: dict[str, Tensor], memory: int) -> None:
+    def __init__(
+        self, energy, variables: dict[str, Tensor], memory: int, iterations: int, tolerance_grad, unit
+    ) -> None:
+        self.iterations, self.tolerance_grad, self.unit = iterations, tolerance_grad, unit
         moving = {name: value.detach() for name, value in variables.items() if value.requires_grad}
         if not moving:
             names = ", ".join(variables) or "no variables"

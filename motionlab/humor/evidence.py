@@ -17,8 +17,7 @@ from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.skeleton import STANDARD
 
-#: Image sizes that are assumed where nobody says: the smallest that holds every detection.
-_SIZES = ((640, 480), (1280, 720), (1920, 1080), (3840, 2160))
+_SIZES = ((640, 480), (1280, 720), (1920, 1080), (3840, 2160))  # one is assumed that holds every detection
 #: Camera axes (right, down, forward) of a level camera that looks along the world's +y: rows.
 LEVEL = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 ASSUMED_HEIGHT = 1.2  # metres above the floor, of a camera of which nothing is known
@@ -121,19 +120,12 @@ class View:
         shift = -(turn @ centre[..., None])[..., 0]
         return [Camera(*each, *self.size) for each in zip(self.intrinsics, turn, shift, strict=True)]
 
-    def rows(self, index: Tensor) -> View:
-        """Returns the cameras of some clips, in the order of ``index``."""
-        return replace(
-            self, intrinsics=self.intrinsics[index], rotation=self.rotation[index], centre=self.centre[index]
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """An observation ready for the energies: values (B, T, K, D), zero where the weight (B, T, K) is zero.
 
     K, D = 22, 3 (joints in the world) without a view; 25, 2 (pixels of BODY_25, the weight a confidence) with one.
-    notes: what was assumed.
     """
 
     values: Tensor
@@ -144,7 +136,10 @@ class Evidence:
 
     def rows(self, index: Tensor) -> Evidence:
         """Returns the evidence of some clips, in the order of ``index``."""
-        view = None if self.view is None else self.view.rows(index)
+        view = self.view
+        if view is not None:
+            each = {name: getattr(view, name)[index] for name in ("intrinsics", "rotation", "centre")}
+            view = replace(view, **each)
         return replace(self, values=self.values[index], weight=self.weight[index], view=view)
 
     @property
@@ -171,12 +166,10 @@ class Evidence:
 
     def windows(self, starts: Tensor, length: int) -> Evidence:
         """Cuts every clip into W windows of ``length`` that begin at ``starts`` (W,): clips become B W rows."""
+        every = self.rows(torch.arange(len(self.values)).repeat_interleave(len(starts)))
         at = starts[:, None] + torch.arange(length)
-        rows = torch.arange(len(self.values)).repeat_interleave(len(starts))
-        view = None if self.view is None else self.view.rows(rows)
-        return replace(
-            self, values=self.values[:, at].flatten(0, 1), weight=self.weight[:, at].flatten(0, 1), view=view
-        )
+        values, weight = (x[:, at].flatten(0, 1) for x in (self.values, self.weight))
+        return replace(every, values=values, weight=weight)
 
 
 def evidence(
@@ -187,9 +180,8 @@ def evidence(
 
     Args:
         cameras: one per clip, instead of the observation's own.
-        floor: 2-D only. "camera": the camera's pose in the world is known and with it the floor; "refine": it is
-            a first guess; "guess": only the intrinsics are known, the camera is taken as level. Default: "camera"
-            where there is one.
+        floor: 2-D only. "camera" (where there is one): the camera's pose in the world is known and with it the floor;
+            "refine": it is a first guess; "guess": only the intrinsics are known, the camera is taken as level.
         size: width and height of the image in pixels, where no camera says.
 
     Raises:
@@ -250,9 +242,8 @@ def _as_body_25(keypoints: Tensor, confidence: Tensor, names: Sequence[str]) -> 
     """Values (B, T, 25, 2), weights (B, T, 25) in BODY_25's order, and which keypoints went unused."""
     known = [name for name in names if name in BODY_25]
     if not known:
-        raise DataError(
-            f"no keypoint of BODY_25 among {', '.join(names)}", remedy="rename them; see observation.BODY_25"
-        )
+        what = f"no keypoint of BODY_25 among {', '.join(names)}"
+        raise DataError(what, remedy="rename them; see observation.BODY_25")
     ours, theirs = [BODY_25.index(n) for n in known], [names.index(n) for n in known]
     values, weight = keypoints.new_zeros(*keypoints.shape[:2], 25, 2), keypoints.new_zeros(*keypoints.shape[:2], 25)
     values[..., ours, :], weight[..., ours] = keypoints[..., theirs, :], confidence[..., theirs].to(keypoints)

@@ -12,8 +12,7 @@ by two Gauss-Newton steps from the posterior's mean. What one step misses the ne
 not drift away as that of the official code does (thesis 3.3.3, Fig. 3.10). W is in square metres: joints count as they
 are, rotations with a lever of 0.3 m, velocities over one frame; what was not observed counts little.
 
-Source: the official fitting code of HuMoR (Rempe et al. 2021), as described in its issues and read from its behaviour:
-:func:`start_facing`, and in official mode velocities by finite differences and the posterior's mean.
+Source: the official fitting code of HuMoR (Rempe et al. 2021), as described in its issues and read from its behaviour.
 Differs: the official code starts every 3-D clip at identity, and a video at one orientation and one depth (from bones
 counted as zero where they were not detected). Unseen frames stay there; here they are interpolated.
 """
@@ -28,7 +27,7 @@ from motionlab import rotation
 from motionlab.baselines import interpolate
 from motionlab.humor import state, unknowns
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.evidence import Evidence, View
+from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import infer
 from motionlab.humor.unknowns import Unknowns, from_matrix
@@ -54,10 +53,8 @@ _TORSO = STANDARD.indices(
 _LIMB_WEIGHT = 0.02
 _MIN_SPREAD = 0.02  # metres: the second principal spread below which visible points give no orientation
 _ITERATIONS, _STEP = 2, 1e-2
-#: Of the prior's weight while following. Little, since a miss now is a miss in all frames to come; with more of it what
-#: was not seen moves more as the prior would. Fits by ``shooting`` begin with both.
+#: Of the prior's weight while following: little, since a miss now is a miss in all frames to come.
 DAMPING_ROLLOUT, DAMPING_SHOOTING = 0.02, 0.3
-_LASTING = 1.0  # p
 _LEG = ("hip", "knee", "ankle", "foot")
 SITTING_LEGS = STANDARD.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG])
 _SITTING = (math.radians(85), math.radians(25))  # of who sits: how far the legs bend, and each thigh points outwards
@@ -104,10 +101,8 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     Returns:
         trans (B, T, 3), orientation (B, T, 3, 3), and which frames (B, T) had enough to see, 4 keypoints.
     """
-    view = evidence.view
-    poses, upright_cost = _orientations()
-    poses, upright_cost = poses.to(rest), upright_cost.to(rest)
-    trans, cost = _place(evidence, view, poses, rest)  # (B, T, N, 3), (B, T, N)
+    poses, upright_cost = (each.to(rest) for each in _orientations())
+    trans, cost = _place(evidence, poses, rest)  # (B, T, N, 3), (B, T, N)
     enough = (evidence.weight > 0).sum(-1) >= 4
     cost = torch.where(enough[..., None], cost + upright_cost, 0.0)
     path = _viterbi(cost, rotation.geodesic(poses[:, None], poses[None]).square())
@@ -159,9 +154,10 @@ def _orientations() -> tuple[Tensor, Tensor]:
     return turns.flatten(0, 1), torch.tensor([0.0, *(4 * [1.0]), *(4 * [1.5])]).repeat(16) * 0.02
 
 
-def _place(evidence: Evidence, view: View, poses: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
+def _place(evidence: Evidence, poses: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
     """Best world positions (B, T, N, 3) of N orientations, and their robust reprojection errors (B, T, N). Errors are
     in units of the person's apparent size, weighted by confidence."""
+    view = evidence.view
     k = view.intrinsics[:, None, None]
     plane = (evidence.values - k[..., :2, 2]) / torch.stack((k[..., 0, 0], k[..., 1, 1]), -1)  # (B, T, K, 2)
     weight = evidence.weight.square()
@@ -223,7 +219,7 @@ def start_stage_3(
 
     Factors (G, W, L - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u.
 
-    A factor is L^-T of (L - t)^p H_t + w diag(1 / sigma^2) = L L^T, with H_t the Gauss-Newton matrix of one way. What
+    A factor is L^-T of (L - t) H_t + w diag(1 / sigma^2) = L L^T, with H_t the Gauss-Newton matrix of one way. What
     z_t does to the frame after it stays done in all that follow, hence the first factor.
 
     Args:
@@ -249,11 +245,10 @@ def start_stage_3(
 
 
 def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> tuple[Tensor, Tensor, Tensor]:
-    """z (B, T - 1, 48) of a roll-out from the first of states (B, T, 339) that is steered to follow them.
+    """z (B, T - 1, 48) of a roll-out from the first of states (B, T, 339) that is steered to follow them, the
+    Gauss-Newton matrices (B, T - 1, 48, 48) of the ways, and the prior's 1 / sigma^2 (B, T - 1, 48).
 
-    confidence (B, T, 22): of each joint of stage 2; where it is 0, z is the prior's mean. weight: w
-    above. Also the Gauss-Newton matrices (B, T - 1, 48, 48) of the ways, and the prior's 1 / sigma^2 (B, T - 1, 48).
-    """
+    confidence (B, T, 22): of each joint of stage 2; where it is 0, z is the prior's mean. weight: w above."""
     now, found, curvature, precision = states[:, 0], [], [], []
     for aim, share in zip(states[:, 1:].unbind(1), confidence[:, 1:].unbind(1), strict=True):
         frame = state.heading(now)
@@ -272,11 +267,10 @@ def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> t
 
 
 def _factors(curvature: Tensor, sharp: Tensor, weight: float) -> Tensor:
-    left = torch.arange(curvature.shape[1], 0, -1).to(sharp) ** _LASTING
+    left = torch.arange(curvature.shape[1], 0, -1).to(sharp)
     whole = left[:, None, None] * curvature + torch.diag_embed(weight * sharp + 1e-6)
     factor = torch.linalg.cholesky(whole.double())
-    unit = torch.eye(whole.shape[-1], dtype=factor.dtype, device=factor.device).expand_as(factor)
-    return torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(sharp)
+    return torch.linalg.solve_triangular(factor.mT, torch.eye(whole.shape[-1]).to(factor), upper=True).to(sharp)
 
 
 def _linearised(model: Cvae, past: Tensor, z: Tensor, aim: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:

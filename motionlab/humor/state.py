@@ -5,8 +5,7 @@
 Metres, seconds, radians; world z up, floor at z = 0. ``joints`` are the network's own idea of where the joints are,
 kept beside the pose that implies them. Rotations stand transposed, row by row. So the first 141 numbers are what a
 transition adds to, the last 198 are the 22 matrices that it turns, and the first 150 are the 50 vectors that a new
-heading turns. This is the only order inside the library: official weights are put into it once, where they are read
-(``cvae.from_weights``).
+heading turns. Official weights are put into this order where they are read (``cvae.from_weights``).
 
 Source: HuMoR (Rempe et al. 2021), section 3; thesis 3.1.1.
 Differs: the official order is trans, trans_vel, root_orient, root_orient_vel, pose_body, joints, joints_vel, matrices
@@ -27,8 +26,8 @@ from motionlab.heading import Frame, heading_frame
 from motionlab.motion import FPS, Motion, backward_velocity, velocity
 from motionlab.skeleton import STANDARD, Skeleton
 
-JOINT_COUNT, CONTACTS = 22, 9
-#: The parts of a state in their order, and their shapes.
+CONTACTS = 9
+#: Shapes of the parts of a state in their order.
 SHAPES = {
     "trans": (3,), "trans_vel": (3,), "root_orient_vel": (3,), "joints": (22, 3), "joints_vel": (22, 3),
     "root_orient": (3, 3), "pose_body": (21, 3, 3),
@@ -90,8 +89,8 @@ def pack(parts: Mapping[str, Tensor]) -> Tensor:
     """Computes states (..., 339) from their parts; rotations as they are, not transposed."""
     for name, shape in SHAPES.items():
         check_shape(parts[name], "... " + " ".join(map(str, shape)), name)
-    turned = {name: parts[name].mT for name in TURNED}
-    return torch.cat([{**parts, **turned}[name].flatten(-len(shape)) for name, shape in SHAPES.items()], dim=-1)
+    upright = {**parts, **{name: parts[name].mT for name in TURNED}}
+    return torch.cat([upright[name].flatten(-len(shape)) for name, shape in SHAPES.items()], dim=-1)
 
 
 def unpack_delta(raw: Tensor) -> dict[str, Tensor]:
@@ -109,7 +108,7 @@ def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
     """
     rate = backward_velocity if causal else velocity
     positions, _ = motion.world
-    check_shape(positions, f"... {JOINT_COUNT} 3", "joints")
+    check_shape(positions, "... 22 3", "joints")
     root = motion.rot[..., 0, :, :]
     return pack({
         "trans": motion.root, "trans_vel": rate(motion.root, motion.fps, dim=-2),
@@ -187,12 +186,10 @@ def bone_lengths(state: Tensor) -> Tensor:
 def with_bone_lengths(state: Tensor, lengths: Tensor) -> Tensor:
     """Computes states (..., 339) whose bones point as they did and have these lengths (..., 21), the pelvis in its
     place; nothing but the joints changes. What a network adds to joints, frame by frame, does not keep bones long."""
-    bones = _bones(state)
+    bones, own = _bones(state), SLICES["joints"]
     bones = bones * (lengths / bones.norm(dim=-1).clamp(min=1e-6))[..., None]
-    joints = state[..., SLICES["joints"]].unflatten(-1, SHAPES["joints"])
-    made = joints[..., :1, :] + _PATHS.to(bones) @ bones
-    parts = [state[..., part] if name != "joints" else made.flatten(-2) for name, part in SLICES.items()]
-    return torch.cat(parts, -1)
+    made = state[..., None, own.start : own.start + 3] + _PATHS.to(bones) @ bones
+    return torch.cat((state[..., : own.start], made.flatten(-2), state[..., own.stop :]), -1)
 
 
 def _bones(state: Tensor) -> Tensor:
@@ -210,6 +207,5 @@ def apply(state: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
     Additive, but for rotations: R' = exp(delta) R, multiplied from the left.
     """
     parts, delta = unpack(state), unpack_delta(raw)
-    turn = {"root_orient", "pose_body"}
-    after = {n: rotation.exp(delta[n]) @ parts[n] if n in turn else parts[n] + delta[n] for n in SHAPES}
+    after = {n: rotation.exp(delta[n]) @ parts[n] if n in TURNED else parts[n] + delta[n] for n in SHAPES}
     return pack(after), delta["contacts"]

@@ -49,7 +49,7 @@ MAX_LATENT_CHI2, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How much work a fit does, and how a recording is cut.
+    """How much work a fit does, and how a recording is cut; the official configurations.
 
     steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
     sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
@@ -58,8 +58,6 @@ class Schedule:
     work of that solver in stage 3, instead of short, refine, window and the third number of steps (which, at 0, still
     leaves stage 3 out). guesses: begin stage 3 with the floor below stage 2's feet, where its height is not known; and
     where no foot was seen let shooting try a second start, which sits.
-
-    Source: the official configurations.
     """
 
     steps: tuple[int, int, int] = (30, 70, 70)
@@ -114,12 +112,10 @@ class FitDiagnostics:
     def sentences(self) -> tuple[str, ...]:
         """Returns a sentence for every clip that is doubtful."""
         unit = "{:.0f} px" if self.pixels else "{:.2f} m"
-        rows = zip(self.latent_chi2.tolist(), self.misfit.tolist(), self.doubtful.tolist(), strict=True)
         return tuple(
-            f"stage 3 doubts clip {k}: latent chi2 {latent_chi2:.2f} (up to {MAX_LATENT_CHI2:g} is usual), what was "
-            f"seen is missed by {unit.format(misfit)}"
-            for k, (latent_chi2, misfit, doubtful) in enumerate(rows)
-            if doubtful
+            f"stage 3 doubts clip {k}: latent chi2 {self.latent_chi2[k]:.2f} (up to {MAX_LATENT_CHI2:g} is usual), "
+            f"what was seen is missed by {unit.format(self.misfit[k])}"
+            for k in self.doubtful.nonzero()[:, 0].tolist()
         )
 
 
@@ -127,8 +123,7 @@ class FitDiagnostics:
 class Fitted:
     """What a fit found; G recordings of T frames, world coordinates.
 
-    motion (G, T): of the last stage, each on its own skeleton, with contact labels, and a body in every frame, seen or
-    not (the observation says which). stages: after stage 1, 2, 3.
+    motion (G, T): of the last stage, each on its own skeleton, with contact labels. stages: after stage 1, 2, 3.
     contacts (G, T, 9): probabilities, in the order of ``STANDARD.contact_names``; zeros where no stage 3 ran.
     z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts`` (one
     window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
@@ -164,35 +159,25 @@ def _stopped(results: dict[int, list[object]]) -> bool:
 
 
 def fit(
-    observation: Observation2D | Observation3D,
-    priors: Priors,
-    *,
-    weights: Weights | None = None,
-    schedule: Schedule | None = None,
-    mode: str = "lean",
-    parametrisation: Parametrisation = unknowns.LEAN,
-    solver: str = "rollout",
-    cameras: Sequence[Camera] | None = None,
-    floor: str | None = None,
-    size: tuple[int, int] | None = None,
-    progress: bool | str = False,
+    observation: Observation2D | Observation3D, priors: Priors, *, weights: Weights | None = None,
+    schedule: Schedule | None = None, mode: str = "lean", parametrisation: Parametrisation = unknowns.LEAN,
+    solver: str = "rollout", cameras: Sequence[Camera] | None = None, floor: str | None = None,
+    size: tuple[int, int] | None = None, progress: bool | str = False,
     watch: Callable[[int, dict[str, Tensor]], None] | None = None,
-) -> Fitted:
+) -> Fitted:  # fmt: skip
     """Fits every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
     the cameras have to be, too.
 
-    What was not seen has no weight. Unseen joints: the priors decide. Unseen frames, also after somebody has left the
-    image: the start is interpolated and held at the ends (of keypoints, in lean mode alone); smoothness and the motion
-    prior decide from there. Where no frame shows 3 joints that give an orientation, or 4 keypoints, the start stands
-    upright at the origin (same exception), and goes on in stage 3 as the prior would if nothing at all was seen.
+    What was not seen has no weight. Unseen joints: the priors decide. Unseen frames: the start is interpolated and held
+    at the ends (of keypoints, in lean mode alone); smoothness and the motion prior decide from there. Where no frame
+    shows 3 joints that give an orientation, or 4 keypoints, the start stands upright at the origin (same exception).
     One frame has no stage 3, and a note says so.
 
     Args:
         observation: keypoints (G, T, K, 2) seen by one static camera each, or joints (G, T, 22, 3) in the world; the
-            batch axis may be left out. Missing entries have no weight.
+            batch axis may be left out.
         weights: of the terms; default ``JOINTS``, or for keypoints ``RGB_LIGHT`` in lean, ``RGB`` in official mode.
         schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the other unless given.
-        parametrisation: what turns unknowns into bodies.
         solver: of stage 3: "rollout", whose numbers most notebooks hold, or in lean mode "shooting", which is faster
             and takes a recording whole; one of more than 600 frames goes to "rollout", in windows, and a note says so.
         cameras: one per recording, instead of the observation's.
@@ -213,9 +198,8 @@ def fit(
         raise ValueError(f"solver: expected one of {', '.join(SOLVERS)}, the last in lean mode alone, got {solver!r}")
     seen = evidence(observation, cameras=cameras, floor=floor, size=size)
     if abs(seen.fps - FPS) > 0.02 * FPS:
-        raise DataError(
-            f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}", remedy="resample the observation first"
-        )
+        what = f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}"
+        raise DataError(what, remedy="resample the observation first")
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
     weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)
     problem = Problem(seen, priors, weights, mode, parametrisation=parametrisation)
@@ -270,11 +254,11 @@ class _Track:
     def pose_stage(self, problem: Problem, unknown: Unknowns, stage: int) -> Unknowns:
         steps = self.schedule.steps[stage - 1]
         unknown, report = stages.stage_1_and_2(problem, unknown, stage, steps=steps, **self._budget(stage))
+        self.results[stage] = [report]
         with torch.no_grad():
             self.energies[stage] = stages.pose_terms(problem, unknown, stage)
             body = unknowns.pose(unknown, problem.priors, problem.evidence)
         self.stages[stage] = unknowns.motion_of(body, problem.evidence.fps)
-        self.results[stage] = [report]
         return unknown
 
     def motion_stage(self, problem: Problem, unknown: Unknowns, solver: str) -> Fitted:
@@ -293,11 +277,9 @@ class _Track:
                 second_start = starts.start_stage_3(*begun, *rest)[0]
             elif s.guesses and seen.hides_feet.any():
                 plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, _WEIGHED))
-                second_start = self._seated(problem, unknown, rest)
-                second_start = Unknowns(**{
-                    name: torch.where(seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)), x, getattr(start, name))
-                    for name, x in second_start.named().items()
-                })  # fmt: skip
+                sits = self._seated(problem, unknown, rest).named()
+                who = {name: seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)) for name, x in sits.items()}
+                second_start = Unknowns(**{n: torch.where(who[n], x, getattr(start, n)) for n, x in sits.items()})
             rolled, self.results[3] = solve(cut, start, plan, second_start=second_start, progress=budget["progress"])
         else:
             rolled, factors = starts.start_stage_3(*begun, *rest)

@@ -44,7 +44,7 @@ class Whitening(NamedTuple):
     """Whitened coordinates around a roll-out, in which the Gauss-Newton matrix is the identity.
 
     base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``rollout``; shared (B, T - 1, 48, S): on
-    what all frames share. shapers (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
+    what all frames share. whiteners (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
     shared, in these coordinates: rest (B, f, f), the matrix without the initial-state mixture, whose features move by
     (B, 138, f).
     """
@@ -80,13 +80,11 @@ def unwhiten(
 def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
     """Computes unknowns after a change (G, f) of the first state and of what is shared."""
     parts = dict(zip(FIRST_SIZES, change[:, None, :_FIRST].split(list(FIRST_SIZES.values()), -1), strict=True))
-    new = {n: getattr(unknown, n) + parts[n] for n in FIRST_SIZES if n != "orient"}
-    turn = rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient)
-    new["orient"] = unknowns.from_matrix(turn, "lean" if unknown.orient.shape[-1] == 6 else "official")
+    new = {n: getattr(unknown, n) + part for n, part in parts.items() if n != "orient"}
+    new["orient"] = unknowns.from_matrix(rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient), "lean")
     new["betas"] = unknown.betas + change[:, _FIRST : _FIRST + BETAS]
-    if unknown.camera is not None:
-        free = change[:, _FIRST + BETAS :]
-        new["camera"] = unknown.camera + (free if free.shape[1] else 0.0)
+    if (free := change[:, _FIRST + BETAS :]).shape[1]:
+        new["camera"] = unknown.camera + free
     return replace(unknown, **new)
 
 
@@ -98,10 +96,9 @@ def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stri
 
     On a CPU one clip after another: the matrices of one stay in its cache.
     """
-    clips = len(unknown.z)
     if not _clip_by_clip(unknown.z):
         return _linearised(problem, unknown, ridge, stride)
-    each = [torch.tensor([i]) for i in range(clips)]
+    each = torch.arange(len(unknown.z)).split(1)
     parts = [_linearised(problem.rows(i), unknown.rows(i), ridge, stride) for i in each]
     whole = Whitening(*(torch.cat(x) for x in zip(*(p._replace(gains=p.base) for p in parts), strict=True)))
     gains = torch.cat([p.gains.transpose(0, 1) for p in parts], 1).transpose(0, 1)  # as roll-outs read them
@@ -216,8 +213,7 @@ def whiten_first_state(problem: Problem, unknown: Unknowns, cost: Tensor, frames
     diagonal = whole.diagonal(dim1=-2, dim2=-1)
     ridge = 1e-4 * diagonal + 1e-5 * diagonal.mean(-1, keepdim=True) + 1e-8
     factor = factorised((whole + torch.diag_embed(ridge)).double())
-    unit = torch.eye(count, dtype=factor.dtype, device=factor.device).expand_as(factor)
-    whitener = torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
+    whitener = torch.linalg.solve_triangular(factor.mT, torch.eye(count).to(factor), upper=True).to(h)
     return whitener, whitener.mT @ h @ whitener, features @ whitener
 
 
