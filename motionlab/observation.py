@@ -37,7 +37,7 @@ def at_rate(observation: Observation2D, *, times: np.ndarray | None = None) -> O
     return replace(observation, keypoints=points, confidence=confidence, fps=FPS)
 
 
-#: OpenPose BODY_25, in OpenPose's order.
+#: OpenPose's keypoints in its order.
 BODY_25 = (
     "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
     "mid_hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",

@@ -1,14 +1,12 @@
 """Minimises B independent energies at once by L-BFGS: memory, direction and line search belong to each clip alone.
 
-One evaluation (closure) serves all clips. Every clip is a state machine of its own: while one still searches along
-its line, another is iterations ahead, and no evaluation waits for a neighbour. What a clip does is what
-``torch.optim.LBFGS`` with strong Wolfe would do to it alone, whatever its neighbours are.
+One evaluation (closure) serves all clips, each of which is a state machine: while one still searches along its line,
+another is iterations ahead. What a clip does is what ``torch.optim.LBFGS`` with strong Wolfe would do to it alone.
 
 Source: Nocedal and Wright, Numerical Optimization, algorithms 7.4, 3.5 and 3.6; constants of ``torch.optim.LBFGS``.
 Differs: torch evaluates the start of each outer step once more and cuts its last line search short; here neither. A
 trial that is not finite is taken back towards the last finite one. A search without a lower energy forgets its memory
-and tries steepest descent once before it gives up. torch ignores pairs with a curvature below 1e-10 in the energy's own
-unit, and so crawls where energies are small.
+and tries steepest descent once. torch ignores pairs with a curvature below 1e-10 in the energy's own unit.
 """
 
 import math
@@ -173,7 +171,7 @@ class BatchFit:
 
     variables: the point of lowest energy that each clip saw. energy: (B,), inf where a clip never was finite.
     history: (closures, B) energies in order; a clip that has stopped stays at its lowest. seconds: wall time.
-    reasons: per clip "gradient", "no decrease", "steps", "closures", "non-finite" or "interrupted".
+    reasons: per clip "gradient" or "no decrease" (converged), "steps", "closures", "non-finite" or "interrupted".
     """
 
     variables: dict[str, Tensor]
@@ -186,11 +184,6 @@ class BatchFit:
     def closures(self) -> int:
         """Evaluations of all energies and gradients that were paid for."""
         return len(self.history)
-
-    @property
-    def converged(self) -> Tensor:
-        """(B,) true where a tolerance stopped the clip rather than a budget, a number or a person."""
-        return torch.tensor([reason in ("gradient", "no decrease") for reason in self.reasons])
 
 
 def begins(what: str, progress: bool | str) -> str | bool:
@@ -211,8 +204,7 @@ def minimise_batch(
     clip's search at its best point.
 
     Args:
-        energy: (n,) from the variables (n, ...) of the clips that still run, by name, and their numbers (n,); an entry
-            may depend on its own row only.
+        energy: row by row (n,) from the variables (n, ...) of the clips that still run, by name, and their numbers.
         variables: the start, all (B, ...) and, those that move, of one type and device.
         steps, inner: at most steps x inner iterations per clip.
         max_closures: never evaluate more often; None: 5/4 of the iterations, as torch's L-BFGS.
@@ -220,8 +212,7 @@ def minimise_batch(
         tolerance_grad: a clip stops when the largest entry of its gradient is at most this.
         tolerance_change: an iteration that lowers the energy by no more than this counts as none; (B,) for one
             number per clip.
-        unit: the variables are such that a step along minus the gradient is Newton's, or nearly: a first search begins
-            with it, instead of a step that moves nothing by more than 1.
+        unit: a first search begins with a whole step down the gradient, not one that moves nothing by more than 1.
         progress: show a bar with the mean energy and the number of clips that still run; or its name.
 
     Raises:

@@ -26,11 +26,10 @@ UPRIGHT = torch.tensor([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 class Skeleton:
     """A tree of joints.
 
-    names: J joint names. parents: index of each joint's parent, -1 for the root, which comes first;
-    every parent stands before its children. offsets (J, 3) or (..., J, 3): metres from the parent, in
-    the rest frame; offsets[0] is not used. contact_names: the joints that may touch the floor.
-    sole: metres from the lowest rest-pose joint down to the floor. roles: standard name -> own name, where a user said
-    what is what.
+    names: J joint names. parents: index of each joint's parent, -1 for the root, which comes first; every parent stands
+    before its children. offsets (J, 3) or (..., J, 3): metres from the parent, rest frame; offsets[0] is not used.
+    contact_names: the joints that may touch the floor. sole: metres from the lowest rest-pose joint down to the floor.
+    roles: standard name -> own name, where a user said what is what.
 
     Raises:
         ShapeError: parents or offsets do not fit the names, or a parent comes after its child.
@@ -56,11 +55,7 @@ class Skeleton:
         return len(self.names)
 
     def index(self, name: str) -> int:
-        """Returns the index of a joint by name.
-
-        Raises:
-            KeyError: no such joint; lists the names.
-        """
+        """Returns the index of a joint by name; KeyError lists the names."""
         try:
             return self.names.index(name)
         except ValueError:
@@ -137,9 +132,8 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
 
     R_j = R_parent(j) rot_j,  p_j = p_parent(j) + R_parent(j) offset_j
 
-    One step per level of the tree. Inside, joint and matrix axes stand before the batch and time axes, so that
-    a 3x3 product is a few passes over long rows and a level a block of memory: on a CPU twice as fast as batches
-    of tiny matrix products, forwards and backwards. The results are views of that layout, not contiguous.
+    One step per level of the tree, with joint and matrix axes before batch and time axes: on a CPU twice as fast as
+    batches of tiny matrix products. The results are views of that layout, not contiguous.
 
     Args:
         root: (..., 3) position of joint 0, metres, world.

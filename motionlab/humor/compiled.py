@@ -24,14 +24,18 @@ from motionlab import rotation
 _ADDED, _VECTORS, _CHANGES, _STATE = 141, 150, 207, 339
 PLACED = _STATE + 6  # numbers of a state and of its frame's place in the world
 FEW = 16  # clips: with one thread, loops and tensors take the same time for as many
-_KINDS = torch.float32, torch.float64
 _TINY = 1e-18  # what a turn or a right axis on the floor is at least, so that none divides by 0
 _loops = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # NaN stays NaN
 
 
 def fits(first: Tensor, z: Tensor) -> bool:
     """Says whether a roll-out is for loops: on the CPU, and of so few clips that torch is no faster (one thread)."""
-    return first.device.type == "cpu" and len(first) <= FEW and first.dtype == z.dtype and first.dtype in _KINDS
+    return (
+        first.device.type == "cpu"
+        and len(first) <= FEW
+        and first.dtype == z.dtype
+        and first.dtype in (torch.float32, torch.float64)
+    )
 
 
 @contextlib.contextmanager

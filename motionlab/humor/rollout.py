@@ -36,7 +36,7 @@ from motionlab.parallel import threads_for
 #: What the root's place on the floor is taken from: those of the 50 vectors that are positions.
 _PLACED = torch.zeros(VECTORS // 3, 3)
 _PLACED[0, :2] = _PLACED[3:25, :2] = 1
-#: The same as a matrix: (B, 150) @ _CENTRED has it taken off, in the transposed (backward) sense.
+#: The same as a matrix: (B, 150) @ _CENTRED has it taken off, going back.
 _CENTRED = torch.eye(VECTORS)
 _CENTRED[:, :3] -= (_PLACED[:, :, None] * torch.eye(3)).flatten(0, 1)
 _QUATERNION = torch.zeros(4, 4, 3, 3)  # exp(v)^T = sum_ij q_i q_j _QUATERNION[i, j]
@@ -141,16 +141,10 @@ class DecoderLayers(NamedTuple):
         linear = [layer for layer in model.decoder.net if isinstance(layer, torch.nn.Linear)]
         norms = [layer for layer in model.decoder.net if isinstance(layer, torch.nn.GroupNorm)]
         weights = [layer.weight.detach() for layer in linear]
-        return cls(
-            [weight[:, : -model.latent] for weight in weights],
-            [weight[:, -model.latent :] for weight in weights],
-            [layer.bias.detach() for layer in linear],
-            [norm.weight.detach() for norm in norms],
-            [norm.bias.detach() for norm in norms],
-            norms[0].num_groups,
-            norms[0].eps,
-            weights[-1][:, :0] if model.skip is None else model.skip.weight.detach(),
-        )
+        parts = [weight[:, : -model.latent] for weight in weights], [weight[:, -model.latent :] for weight in weights]
+        biases, gains = [layer.bias.detach() for layer in linear], [norm.weight.detach() for norm in norms]
+        skip = weights[-1][:, :0] if model.skip is None else model.skip.weight.detach()
+        return cls(*parts, biases, gains, [n.bias.detach() for n in norms], norms[0].num_groups, norms[0].eps, skip)
 
 
 class Step(NamedTuple):
@@ -180,10 +174,8 @@ class Stepper:
 
     def __call__(self, x: Tensor, shares: list[Tensor]) -> Step:
         """Computes one step from states (B, 339), each in its own heading frame, and the shares (B, out) of their z."""
-        h, layers, batch = x, [], len(x)
-        for weight, share, gain, shift in zip(
-            self.transposed, shares, self.decoder.gains, self.decoder.shifts, strict=False
-        ):
+        h, layers, batch, norms = x, [], len(x), zip(self.decoder.gains, self.decoder.shifts, strict=True)
+        for weight, share, (gain, shift) in zip(self.transposed, shares, norms, strict=False):
             h = torch.addmm(share, h, weight).view(batch * self.decoder.groups, -1)
             normed, mean, scale = torch.native_layer_norm(h, h.shape[-1:], None, None, self.decoder.eps)
             out = torch.addcmul(shift, normed.view(batch, -1), gain).relu_()
@@ -349,10 +341,7 @@ def sample_rollout(
 
 
 def infer(model: Cvae, states: Tensor) -> tuple[Gaussian, Gaussian]:
-    """Computes posterior and prior (B, T-1, 48) of every transition of world states (B, T, 339), all at once.
-
-    Source: Stage-3 initialisation of the official code.
-    """
+    """Computes posterior and prior (B, T - 1, 48) of every transition of world states (B, T, 339), all at once."""
     past, now = state.transition_pairs(states)
     return model.posterior(past, now), model.prior(past)
 

@@ -66,16 +66,10 @@ def _order() -> tuple[Tensor, Tensor]:
 OFFICIAL_ORDER, OFFICIAL_DELTA_ORDER = _order()
 
 
-def _onward() -> Tensor:
-    matrix = torch.zeros(DELTA, STATE)
-    for name in ("trans", "root_orient", "joints"):
-        speed = SLICES[f"{name}_vel"]
-        matrix[DELTA_SLICES[name], speed] = torch.eye(speed.stop - speed.start) / FPS
-    return matrix
-
-
 #: (216, 339): takes a state to the raw changes of a body that goes on at its velocity for one frame.
-ONWARD = _onward()
+ONWARD = torch.zeros(DELTA, STATE)
+for _name in ("trans", "root_orient", "joints"):
+    ONWARD[DELTA_SLICES[_name], SLICES[f"{_name}_vel"]] = torch.eye(torch.Size(DELTA_SHAPES[_name]).numel()) / FPS
 
 
 def unpack(state: Tensor) -> dict[str, Tensor]:
@@ -103,8 +97,7 @@ def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
     """Computes world states (..., T, 339) from a motion on the 22 joints.
 
     Velocities by central differences, as in HuMoR's states: they know the next frame. causal: by backward differences,
-    which know the past only; the first frame has those of the second. Root angular velocity: the vector of dR/dt R^T,
-    world axes.
+    which know the past only; the first frame has those of the second.
     """
     rate = backward_velocity if causal else velocity
     positions, _ = motion.world
@@ -120,11 +113,9 @@ def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
 
 
 def _turning(orientation: Tensor, fps: float) -> Tensor:
-    """The vector of R_t R_{t-1}^T, rad/s (..., T, 3); the first is the second's."""
+    """The vector of R_t R_{t-1}^T, rad/s (..., T, 3); the first is the second's, of one frame 0."""
     turn = rotation.log(orientation[..., 1:, :, :] @ orientation[..., :-1, :, :].mT) * fps
-    if not turn.shape[-2]:
-        return torch.zeros_like(orientation[..., 0])
-    return torch.cat((turn[..., :1, :], turn), -2)
+    return torch.cat((turn[..., :1, :], turn), -2) if turn.shape[-2] else torch.zeros_like(orientation[..., 0])
 
 
 def angular_velocity(orientation: Tensor, fps: float) -> Tensor:

@@ -42,8 +42,7 @@ SOLVERS = ("rollout", "shooting")
 _WEIGHED = 4  # rounds after which a start that sits is judged: after 2, some that stood up sat to the end
 _NAMES = ("stage 1 of 3: where they are", "stage 2 of 3: pose and size", "stage 3 of 3: motion")
 _WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
-#: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, latent_chi2 was 0.05 to
-#: 0.47 and misfit 6 to 13 pixels of 1280, or 7 cm where every joint had N(0, 4 cm) of noise.
+#: From here on a fit is doubtful. On practice clips latent_chi2 was 0.05 to 0.47, misfit 6 to 13 pixels of 1280 or 7 cm.
 MAX_LATENT_CHI2, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
 
 
@@ -95,8 +94,8 @@ class FitDiagnostics:
     """How well a fit of stage 3 agrees with the prior and with what was seen, per clip (B,).
 
     latent_chi2: mean square of (z - mu) / sigma over transitions and latents: 1 for motion drawn from the prior, less
-    for motion like that of its training, which its latents overfit; large where a motion is not one that it would make.
-    misfit: root mean square distance of what was seen, metres or pixels; from ``bound`` on it is doubtful.
+    for motion like that of its training, large where a motion is not one that it would make. misfit: root mean square
+    distance of what was seen, metres or pixels; above ``bound`` it is doubtful.
     """
 
     latent_chi2: Tensor

@@ -3,8 +3,8 @@
     z_t = z^_t + K_t (x_t - x^_t) + L_t^-T nu_t,        first state and what is shared = L_0^-T nu_0
 
 with gains K_t and factors L_t of the clip's Gauss-Newton matrix (``gauss_newton``). Any z has its nu, and what comes
-out is an exact roll-out: the matrix only shapes the search, so that what it leaves out costs closures, not correctness.
-The networks' slopes change slowly and may be taken at every few frames only, straight lines between.
+out is an exact roll-out: what the matrix leaves out costs closures, not correctness. The networks' slopes change slowly
+and may be taken at every few frames only, straight lines between.
 
 Source: differential dynamic programming (Jacobson and Mayne 1970); thesis 3.3.4 asks for such a formulation.
 """
@@ -31,7 +31,7 @@ from motionlab.humor.stages import Problem
 from motionlab.humor.state import ADDED
 from motionlab.humor.unknowns import Rolled, Unknowns
 
-#: The first state's unknowns and their sizes, its rotation as a vector.
+#: Sizes of the first state's unknowns, its rotation as a vector.
 FIRST_SIZES = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orient_vel": 3, "joints_vel": 66}
 _FIRST = sum(FIRST_SIZES.values())
 #: Where the features of the initial-state mixture stand in xi: joints, joints_vel, trans_vel, root_orient_vel.
@@ -41,7 +41,7 @@ _SHARPEST = 1e2  # 1 / sigma of the prior counts no more than this in the matrix
 
 
 class Whitening(NamedTuple):
-    """Whitened coordinates around a roll-out, in which the Gauss-Newton matrix is the identity.
+    """Coordinates around a roll-out in which the Gauss-Newton matrix is the identity.
 
     base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``rollout``; shared (B, T - 1, 48, S): on
     what all frames share. whiteners (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
@@ -149,8 +149,7 @@ def padded_moves(moves: gauss_newton.TransitionSlopes, clips: int, n: int) -> tu
 
 def prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:
     """Computes Gauss-Newton rows (N, 96, n + 48) of the prior's negative log likelihood, w (-log N(z; mu(x),
-    sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a quarter of Fisher's information of it, 1/2: tried by
-    hand, with none and all of it, on eight practice clips."""
+    sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a quarter of Fisher's information of it, tried by hand."""
     mean, log_var = (x.flatten(0, 1) for x in prior)
     of_mean, of_log_var = slopes_.chunk(2, 1)
     sharp = (-0.5 * log_var).exp().clamp(max=_SHARPEST) * weight**0.5
@@ -190,9 +189,8 @@ def _gains_on_states(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Te
 
 
 def whiten_first_state(problem: Problem, unknown: Unknowns, cost: Tensor, frames: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Computes the whitening L^-T (B, f, f) of the first state, shape and camera from their Gauss-Newton matrix: their
-    own terms and P_0 through ``apply_change``. Also, in whitened coordinates, the matrix without the initial-state
-    mixture (B, f, f), and how the features of that move (B, 138, f)."""
+    """Computes ``first``, ``rest`` and ``features`` of a :class:`Whitening` from the Gauss-Newton matrix of the first
+    state, shape and camera: their own terms, and ``cost``, P_0, through ``apply_change``."""
     weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
     shared = cost.shape[-1] - CHANGE
     count = _FIRST + shared

@@ -6,15 +6,13 @@ A small change of a frame is 210 numbers: its state's in its own heading frame,
     xi 207 = trans | trans_vel | root_orient_vel | joints 66 | joints_vel 66 | omega 66
 
 where omega turns the 22 rotations from the left, R -> exp(omega) R, and gamma = (turn, x, y), how its heading frame
-itself turns about z and moves on the floor, in its own axes. Transitions are differentiated by autograd: networks
-backward, which have fewer outputs than inputs.
+itself turns about z and moves on the floor, in its own axes.
 
 Rows say how each residual of a frame answers to a small change of it, of n = 210 + S numbers: xi, gamma, then S shared
 by all frames of a clip, 8 betas and, where the camera is unknown, its 3. Rows carry the square root of their weight,
 so that H = R^T R is the Gauss-Newton matrix of the energy as it is. Robust terms count with the weight that they have
 at the point; contact probabilities are constants. Contact heights, hinges without curvature, count as the parabolas
-that touch them from above: without them a camera that nobody fixed and its body would rise together at no cost. A term
-without rows is minimised all the same; the coordinates do not know of it.
+that touch them from above: without them a camera that nobody fixed and its body would rise together at no cost.
 
 The sweep goes from the last frame to the first. With y_t a small change of frame t, y_{t+1} = A_t y_t + B_t z_t, and an
 energy 1/2 sum_t |R_t y_t|^2 + |N_t (y_t, z_t)|^2, the least that frames t.. can cost is 1/2 y_t^T P_t y_t,
@@ -94,10 +92,8 @@ def _rows(of: Callable[..., Tensor], count: int, *rows: Tensor) -> Tensor:
 
 
 def columns(of: Callable[..., Tensor], count: int, *rows: Tensor) -> Tensor:
-    """Computes the Jacobians (N, out, count) of few causes: N rows and small changes (N, count) of each -> (N, out).
-
-    Forward, by going back twice: J^T c is linear in c.
-    """
+    """Computes the Jacobians (N, out, count) of few causes: N rows and small changes (N, count) of each -> (N, out), by
+    going back twice: J^T c is linear in c."""
     change, out = _traced(of, count, rows)
     with torch.enable_grad():
         c = torch.zeros_like(out, requires_grad=True)
@@ -283,7 +279,7 @@ def _pixel_rows(points: Tensor, slopes: Tensor, turn, shift, camera, evidence: E
 
 # ------------------------------------------------------------------------------------------------------- the sweep
 class Sweep(NamedTuple):
-    """gains K (B, T - 1, Z, n), shapers L^-T (B, T - 1, Z, Z) and what the first change costs, P_0 (B, n, n)."""
+    """gains K (B, T - 1, Z, n), whiteners L^-T (B, T - 1, Z, Z) and what the first change costs, P_0 (B, n, n)."""
 
     gains: Tensor
     whiteners: Tensor
@@ -291,7 +287,7 @@ class Sweep(NamedTuple):
 
 
 def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge: float = 1e-6) -> Sweep:
-    """Computes gains and shapers from quadratic costs and linear dynamics, backwards through T frames.
+    """Computes gains and whiteners from quadratic costs and linear dynamics, backwards through T frames.
 
     of_frame (B, T, n, n): R^T R. a (B, T - 1, n, n), b (B, T - 1, n, Z). of_pair (B, T - 1, n + Z, n + Z): N^T N.
     ridge: added to the diagonal of Q_zz.
@@ -317,11 +313,8 @@ def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge
 
 
 def factorised(h: Tensor) -> Tensor:
-    """Computes Cholesky factors (B, m, m) from symmetric matrices.
-
-    A matrix that rounding made indefinite gets more on its diagonal. One that is not finite gives the identity, so that
-    one bad clip does not end the others.
-    """
+    """Computes Cholesky factors (B, m, m) from symmetric matrices. One that rounding made indefinite gets more on its
+    diagonal; one that is not finite gives the identity, so that one bad clip does not end the others."""
     factor, bad = torch.linalg.cholesky_ex(h)
     if not bad.any():
         return factor
