@@ -17,9 +17,7 @@ from motionlab.motion import FPS
 def at_rate(observation: Observation2D, *, times: np.ndarray | None = None) -> Observation2D:
     """Computes keypoints at 30 frames a second: linear where both frames saw the point, else the nearer frame's.
 
-    The first frame stays; the last sample is the last that lies inside the recording.
-
-    times (T,): seconds of the frames since the first, where they do not come at even times.
+    The first frame stays; no sample lies behind the last. times (T,): seconds of uneven frames since the first.
     """
     last = (observation.frames - 1) / observation.fps if times is None else float(times[-1])
     count = int(last * FPS + 1e-6) + 1

@@ -33,12 +33,6 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def one_thread() -> None:
-    """Limits this process to one thread from now on, unless $OMP_NUM_THREADS says how many."""
-    if not os.environ.get("OMP_NUM_THREADS"):
-        torch.set_num_threads(1)
-
-
 def run_jobs(
     jobs: Sequence[Callable], workers: int, done: Callable = lambda k, found: None, apart: bool = False
 ) -> list:

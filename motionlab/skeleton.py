@@ -72,9 +72,8 @@ class Skeleton:
 
     @cached_property
     def level_order(self) -> tuple[Tensor, Tensor, list[int], list[Tensor | None]]:
-        """What :func:`fk` walks along: joints sorted by level, the way back, how many joints each level has (the
-        root's first), and for each level below it the rows of its parents inside the level before (None: all of
-        them, in order)."""
+        """What :func:`fk` walks along: joints sorted by level, the way back, how many joints each level has, and for
+        each below the root's the rows of its parents inside the level before (None: all of them, in order)."""
         levels, rows = [[0]], []
         while below := [joint for joint, parent in enumerate(self.parents) if parent in levels[-1]]:
             parents = [levels[-1].index(self.parents[joint]) for joint in below]
@@ -168,29 +167,21 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
 _NAMES, _PARENTS, _OFFSETS = zip(
     # name, parent, offset in metres; the proportions of anny's average adult, straightened to a T
     ("pelvis", -1, (0.0, 0.0, 0.0)),
-    ("left_hip", 0, (0.1146, -0.0092, -0.0081)),
-    ("right_hip", 0, (-0.1146, -0.0092, -0.0081)),
+    ("left_hip", 0, (0.1146, -0.0092, -0.0081)), ("right_hip", 0, (-0.1146, -0.0092, -0.0081)),
     ("spine1", 0, (0.0, 0.0854, -0.0397)),
-    ("left_knee", 1, (0.0, -0.4475, 0.0)),
-    ("right_knee", 2, (0.0, -0.4475, 0.0)),
+    ("left_knee", 1, (0.0, -0.4475, 0.0)), ("right_knee", 2, (0.0, -0.4475, 0.0)),
     ("spine2", 3, (0.0, 0.0753, 0.0157)),
-    ("left_ankle", 4, (0.0, -0.4546, 0.0)),
-    ("right_ankle", 5, (0.0, -0.4546, 0.0)),
+    ("left_ankle", 4, (0.0, -0.4546, 0.0)), ("right_ankle", 5, (0.0, -0.4546, 0.0)),
     ("spine3", 6, (0.0, 0.0865, 0.0013)),
-    ("left_foot", 7, (0.0054, -0.0710, 0.1380)),
-    ("right_foot", 8, (-0.0054, -0.0710, 0.1380)),
+    ("left_foot", 7, (0.0054, -0.0710, 0.1380)), ("right_foot", 8, (-0.0054, -0.0710, 0.1380)),
     ("neck", 9, (0.0, 0.3387, 0.0177)),
-    ("left_collar", 9, (0.0247, 0.2606, 0.0358)),
-    ("right_collar", 9, (-0.0247, 0.2606, 0.0358)),
+    ("left_collar", 9, (0.0247, 0.2606, 0.0358)), ("right_collar", 9, (-0.0247, 0.2606, 0.0358)),
     ("head", 12, (0.0, 0.1089, 0.0381)),
-    ("left_shoulder", 13, (0.1622, -0.0236, -0.0041)),
-    ("right_shoulder", 14, (-0.1622, -0.0236, -0.0041)),
-    ("left_elbow", 16, (0.2872, 0.0, 0.0)),
-    ("right_elbow", 17, (-0.2872, 0.0, 0.0)),
-    ("left_wrist", 18, (0.2580, 0.0, 0.0)),
-    ("right_wrist", 19, (-0.2580, 0.0, 0.0)),
+    ("left_shoulder", 13, (0.1622, -0.0236, -0.0041)), ("right_shoulder", 14, (-0.1622, -0.0236, -0.0041)),
+    ("left_elbow", 16, (0.2872, 0.0, 0.0)), ("right_elbow", 17, (-0.2872, 0.0, 0.0)),
+    ("left_wrist", 18, (0.2580, 0.0, 0.0)), ("right_wrist", 19, (-0.2580, 0.0, 0.0)),
     strict=True,
-)
+)  # fmt: skip
 ANKLES, BALLS = ("left_ankle", "right_ankle"), ("left_foot", "right_foot")  # a "foot" joint is its ball
 #: The contact joints of the feet, in the order of ``STANDARD.contact_names``.
 FEET = (*ANKLES, *BALLS)

@@ -85,12 +85,11 @@ def landmarks(joints: Tensor, turns: Tensor, betas: Tensor) -> Tensor:
 def from_skeleton(skeleton: Skeleton) -> Tensor:
     """Computes from a skeleton of the 22 standard joints the betas (..., 8) whose bone lengths are nearest to its own.
 
-    In each group the scale s = sum l l0 / sum l0^2 minimises sum (l - s l0)^2, l0 the standard's lengths. Lengths that
-    are not finite are left out; a group of which none is known is as the standard (beta 0).
+    In each group s = sum l l0 / sum l0^2, l0 the standard's lengths. Lengths that are not finite are left out; a group
+    of which none is known is as the standard (beta 0).
 
     Raises:
-        ShapeError: other joints than the standard's.
-        DataError: a group without length.
+        ShapeError: other joints than the standard's. DataError: a group without length.
     """
     if skeleton.names != STANDARD.names:
         raise ShapeError("from_skeleton: expected the 22 standard joints; retarget the motion first")

@@ -27,19 +27,17 @@ _FEET = [k for k, name in enumerate(BODY_25) if name.endswith(("ankle", "toe", "
 UNSEEN = 0.03  # what stage 2 makes of a hidden joint counts so much, beside a seen one, in the start of stage 3
 
 
-def _shown() -> list[list[int]]:
-    """Three keypoints of BODY_25 for each of the 22 joints, any of which shows it."""
+def _shown(joint: str) -> list[int]:
+    """Three keypoints of BODY_25, any of which shows a joint."""
+    side, _, part = joint.rpartition("_")
+    if not side:
+        found = "nose left_ear right_ear" if part in ("head", "neck") else "mid_hip left_shoulder right_shoulder"
+        return [BODY_25.index(name) for name in found.split()]
     near = {"hip": "knee", "foot": "big_toe", "collar": "shoulder"}
-    trunk, rows = ["mid_hip", "left_shoulder", "right_shoulder"], []
-    for name in STANDARD.names:
-        side, _, part = name.rpartition("_")
-        point = f"{side}_{near.get(part, part)}"
-        found = ["nose", "left_ear", "right_ear"] if name in ("head", "neck") else [point] * 3 if side else trunk
-        rows.append([BODY_25.index(n) for n in found])
-    return rows
+    return [BODY_25.index(f"{side}_{near.get(part, part)}")] * 3
 
 
-_SHOWN = torch.tensor(_shown())
+_SHOWN = torch.tensor([_shown(name) for name in STANDARD.names])
 
 
 def feet_seen(confidence: Tensor) -> Tensor:

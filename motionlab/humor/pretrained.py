@@ -53,13 +53,11 @@ def load_priors(
     """Loads the priors that ship, ``humor_NAME``, ``pose_prior_NAME``, ``init_gmm_NAME``, or files instead.
 
     A file's suffix says whose it is: torch's (``_TORCH``) is an official HuMoR checkpoint or a VPoser snapshot, .npz
-    the official mixture, anything else a checkpoint of this project. Loaded once.
+    the official mixture, anything else a checkpoint of this project. A fit with official files poses our skeleton, not
+    SMPL's body. Loaded once.
 
-    Differs: a fit with official files poses our skeleton, not SMPL's body.
-
-    Args:
-        pelvis: J_0, metres: the pelvis from SMPL's translation, of the mean body that an official motion or initial
-            prior was trained with. Zeros where its ``trans`` was the pelvis.
+    pelvis: J_0, metres: the pelvis from SMPL's translation, of the mean body that an official motion or initial prior
+    was trained with. Zeros where its ``trans`` was the pelvis.
 
     Raises:
         DataError: a file is missing, damaged or of something else; an official one without ``pelvis``, or ``pelvis``

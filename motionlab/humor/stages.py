@@ -144,8 +144,7 @@ def stage_3(
 ) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
     """Runs stage 3: the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
 
-    factors: of ``start.start_stage_3``; without them the search is in the unknowns as they are.
-    refine: the steps at which the second and the third sub-stage begin.
+    factors: of ``start.start_stage_3``, or None. refine: the steps at which the second and third sub-stage begin.
     """
     camera = ("camera",) if unknown.camera is not None and problem.evidence.view.free else ()
     everything = (*FIRST, "z", "betas", *camera)

@@ -46,13 +46,13 @@ _PAIRS = (("neck", "mid_hip"), ("neck", "nose"), *_SIDED, *_OTHER_SIDE)
 _BONES = [tuple(map(BODY_25.index, pair)) for pair in _PAIRS]
 #: An upright body that looks into the camera, whose axes are right, down and forward: the rotation vector (pi, 0, 0).
 _FACING = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
-#: The rigid part of the body, for the 3-D start; the limbs count little, as they move.
+#: For the 3-D start; limbs count little, as they move.
 _TORSO = STANDARD.indices(
     ["pelvis", "left_hip", "right_hip", "spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"]
 )
 _LIMB_WEIGHT = 0.02
 _MIN_SPREAD = 0.02  # metres: the second principal spread below which visible points give no orientation
-_ITERATIONS, _STEP = 2, 1e-2
+_STEP = 1e-2
 #: Of the prior's weight while following: little, since a miss now is a miss in all frames to come.
 DAMPING_ROLLOUT, DAMPING_SHOOTING = 0.02, 0.3
 _LEG = ("hip", "knee", "ankle", "foot")
@@ -93,8 +93,6 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     and (a, b) its pixel on the plane at depth one, t_x - a t_z = a q_z - q_x, t_y - b t_z = b q_z - q_y. Of 144
     orientations (16 headings; upright, leaning 50 degrees each way, lying each way) the sequence with the least
     reprojection error and turning is found over time (Viterbi): the person does not flip from frame to frame.
-
-    A few keypoints close together leave the depth open: there the start may jump, and stage 1 has to undo that.
 
     rest (25, 3): landmarks of the mean pose, root at the origin, its orientation identity.
 
@@ -217,10 +215,9 @@ def start_stage_3(
 ) -> tuple[Unknowns, Tensor | None]:  # fmt: skip
     """Computes the unknowns of stage 3 from stage 2's motion, in windows; in lean mode also factors of z.
 
-    Factors (G, W, L - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u.
-
-    A factor is L^-T of (L - t) H_t + w diag(1 / sigma^2) = L L^T, with H_t the Gauss-Newton matrix of one way. What
-    z_t does to the frame after it stays done in all that follow, hence the first factor.
+    Factors (G, W, L - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u: L^-T of
+    (L - t) H_t + w diag(1 / sigma^2) = L L^T, with H_t the Gauss-Newton matrix of one way, as what z_t does to the
+    frame after it stays done in all that follow.
 
     Args:
         motion (G, T): of stage 2. latent (G, T, 32): its pose latents. shared: its betas, camera.
@@ -256,7 +253,7 @@ def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> t
         prior, z = model.prior(past), model.posterior(past, aim).mean
         sharp = (-prior.log_var).exp().clamp(max=1e4)
         root = _importance(share).sqrt()
-        for _ in range(_ITERATIONS):
+        for _ in range(2):
             miss, slope = _linearised(model, past, z, aim, root)
             gauss_newton = slope @ slope.mT
             pull = (slope @ miss[..., None])[..., 0] + weight * sharp * (z - prior.mean)
@@ -284,15 +281,10 @@ def _linearised(model: Cvae, past: Tensor, z: Tensor, aim: Tensor, root: Tensor)
 
 def _importance(confidence: Tensor) -> Tensor:
     """W (B, 339) from how much each joint (B, 22) is believed."""
-    whole = confidence.mean(-1, keepdim=True)
-    child = torch.stack([confidence[:, _CHILD[j]] for j in range(1, 22)], 1)
+    whole, child = confidence.mean(-1, keepdim=True), confidence[:, _CHILD[1:]]
     parts = {
-        "trans": whole.expand(-1, 3),
-        "trans_vel": (whole / FPS**2).expand(-1, 3),
-        "root_orient": (_LEVER * whole).expand(-1, 9),
-        "root_orient_vel": (_LEVER * whole / FPS**2).expand(-1, 3),
-        "pose_body": (_LEVER * child).repeat_interleave(9, 1),
-        "joints": confidence.repeat_interleave(3, 1),
-        "joints_vel": confidence.repeat_interleave(3, 1) / FPS**2,
-    }
-    return torch.cat([parts[name] for name in state.SHAPES], 1)
+        "trans": whole, "trans_vel": whole / FPS**2, "root_orient": _LEVER * whole, "pose_body": _LEVER * child,
+        "root_orient_vel": _LEVER * whole / FPS**2, "joints": confidence, "joints_vel": confidence / FPS**2,
+    }  # fmt: skip
+    sizes = {name: torch.Size(shape).numel() // parts[name].shape[1] for name, shape in state.SHAPES.items()}
+    return torch.cat([parts[name].repeat_interleave(size, 1) for name, size in sizes.items()], 1)

@@ -52,18 +52,12 @@ _OFFICIAL = ("trans", "trans_vel", "root_orient", "root_orient_vel", "pose_body"
 OFFICIAL_SLICES = _slices({name: SHAPES[name] for name in _OFFICIAL})
 
 
-def _order() -> tuple[Tensor, Tensor]:
-    """Where each of our numbers stands in an official state (339,) and in an official raw output (216,)."""
-    states, raw = torch.arange(STATE), torch.arange(DELTA)
-    whole = {name: states[part].unflatten(0, SHAPES[name]) for name, part in OFFICIAL_SLICES.items()}
-    order = [whole[n].mT if n in TURNED else whole[n] for n in SHAPES]
-    official_raw = _slices({name: DELTA_SHAPES[name] for name in (*_OFFICIAL, "contacts")})
-    return torch.cat([x.flatten() for x in order]), torch.cat([raw[official_raw[n]] for n in DELTA_SHAPES])
-
-
+_OFFICIAL_RAW = _slices({name: DELTA_SHAPES[name] for name in (*_OFFICIAL, "contacts")})
+_at = {name: torch.arange(STATE)[part].unflatten(0, SHAPES[name]) for name, part in OFFICIAL_SLICES.items()}
 #: Official states ``x[..., OFFICIAL_ORDER]`` and raw outputs ``raw[..., OFFICIAL_DELTA_ORDER]`` are ours; by the
 #: ``argsort`` of these ours are official.
-OFFICIAL_ORDER, OFFICIAL_DELTA_ORDER = _order()
+OFFICIAL_ORDER = torch.cat([(_at[n].mT if n in TURNED else _at[n]).flatten() for n in SHAPES])
+OFFICIAL_DELTA_ORDER = torch.cat([torch.arange(DELTA)[_OFFICIAL_RAW[n]] for n in DELTA_SHAPES])
 
 
 #: (216, 339): takes a state to the raw changes of a body that goes on at its velocity for one frame.

@@ -5,11 +5,10 @@
 3. a first state and latents whose roll-out by the motion prior explains the observation.
 
 Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2.
-Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; stages 1 and 2 see a
-recording whole, only stage 3 cuts it into windows; the start is found in closed form and interpolated where nothing
-was seen; stage 1 is smooth; transitions of which nothing was seen start at the prior's mean. "official" mode has the
-official code's unknowns, start of a video and missing masks, evaluated as cheaply as the lean one. Stage 3 has two
-solvers: "rollout", the original sub-stages, and in lean mode "shooting", the same energy at a fraction of the time.
+Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; only stage 3 cuts a
+recording into windows; the start is found in closed form and interpolated where nothing was seen; stage 1 is smooth;
+transitions of which nothing was seen start at the prior's mean. "official" mode has the official code's unknowns, start
+and missing masks. Stage 3 has two solvers: "rollout", the original sub-stages, and "shooting", the same energy faster.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ SOLVERS = ("rollout", "shooting")
 _WEIGHED = 4  # rounds after which a start that sits is judged: after 2, some that stood up sat to the end
 _NAMES = ("stage 1 of 3: where they are", "stage 2 of 3: pose and size", "stage 3 of 3: motion")
 _WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
-#: From here on a fit is doubtful. On practice clips latent_chi2 was 0.05 to 0.47, misfit 6 to 13 pixels of 1280 or 7 cm.
+#: From here on a fit is doubtful. On practice clips latent_chi2 was below 0.47 and misfit 13 pixels of 1280, or 7 cm.
 MAX_LATENT_CHI2, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
 
 
@@ -124,12 +123,11 @@ class Fitted:
 
     motion (G, T): of the last stage, each on its own skeleton, with contact labels. stages: after stage 1, 2, 3.
     contacts (G, T, 9): probabilities, in the order of ``STANDARD.contact_names``; zeros where no stage 3 ran.
-    z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts`` (one
-    window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
-    cameras: one per recording, as found; None for 3-D observations. energies: per stage, each term weighted, (G,).
-    results: the optimiser's report of each stage; of stage 3 one per sub-stage or round. notes: what was assumed, left
-    out or is doubtful. diagnostics: of stage 3's windows (G W,); None where none ran. problem, unknown: what
-    shooting minimised, and where it ended (``posterior``); None after the other solver.
+    z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts``. betas
+    (G, 8): shape in standard deviations. cameras: one per recording, as found; None for 3-D observations. energies: per
+    stage, each term weighted, (G,). results: the optimiser's reports of each stage. notes: what was assumed, left out
+    or is doubtful. diagnostics: of stage 3's windows (G W,), or None. problem, unknown: what shooting minimised, and
+    where it ended (``posterior``); None after the other solver.
     """
 
     motion: Motion
@@ -175,13 +173,11 @@ def fit(
     Args:
         observation: keypoints (G, T, K, 2) seen by one static camera each, or joints (G, T, 22, 3) in the world; the
             batch axis may be left out.
-        weights: of the terms; default ``JOINTS``, or for keypoints ``RGB_LIGHT`` in lean, ``RGB`` in official mode.
-        schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the other unless given.
+        weights: default ``JOINTS``, or for keypoints ``RGB_LIGHT`` in lean, ``RGB`` in official mode. schedule: default
+            ``Schedule.lean()`` in lean, ``Schedule.official`` in official mode.
         solver: of stage 3: "rollout", whose numbers most notebooks hold, or in lean mode "shooting", which is faster
             and takes a recording whole; one of more than 600 frames goes to "rollout", in windows, and a note says so.
-        cameras: one per recording, instead of the observation's.
-        floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
-        size: of the image in pixels, where no camera says.
+        cameras, floor, size: of keypoints, as ``evidence`` takes them.
         progress: show bars with the energy; or "lines": say which stage begins, on stderr.
         watch: called with the stage and its weighted terms (G',) of the recordings that still move, at every
             evaluation; not by solver "shooting".

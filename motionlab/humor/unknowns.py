@@ -119,7 +119,7 @@ def from_matrix(turn: Tensor, mode: str) -> Tensor:
 
 
 def reorthogonalised(turn: Tensor) -> Tensor:
-    """Writes the same rotations (..., 6) anew where their two vectors are nearly parallel: there searches stand still."""
+    """Writes rotations (..., 6) anew where their two vectors are nearly parallel: there a search would stand still."""
     first, second = turn[..., :3], turn[..., 3:]
     area, sides = torch.linalg.cross(first, second).norm(dim=-1), first.norm(dim=-1) * second.norm(dim=-1)
     return torch.where((area < _FLAT * sides)[..., None], from_matrix(to_matrix(turn), "lean"), turn)

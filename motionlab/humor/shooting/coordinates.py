@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.heading import Frame
@@ -127,7 +128,10 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
         x, frame.turn, frame.shift, moves.turn.unflatten(0, (clips, -1)), unknown.betas, unknown.camera,
         energies.contact_probabilities(rollout.contact_logits), problem.evidence, weights,
     )  # fmt: skip
-    a, b = padded_moves(moves, clips, found.of_frame.shape[-1])
+    of_change, b = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
+    more = found.of_frame.shape[-1] - CHANGE  # shape and camera, which stay
+    a, b = F.pad(of_change, (0, more, 0, more)), F.pad(b, (0, 0, 0, more))
+    a[..., CHANGE:, CHANGE:] = torch.eye(more).to(a)
     toward = prior_rows(z.flatten(0, 1), rollout.prior, prior_slopes, a.shape[-1], weights.get("motion_prior", 0.0))
     pairs = torch.cat((found.after @ a + found.before, found.after @ b), -1)
     both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
@@ -136,15 +140,6 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
     gains = gains.transpose(0, 1).contiguous().transpose(0, 1)  # as roll-outs read them
     base = z - (gains @ inputs[..., None])[..., 0]
     return Whitening(base, gains, shared, swept.whiteners, *whiten_first_state(problem, unknown, swept.first, frames))
-
-
-def padded_moves(moves: gauss_newton.TransitionSlopes, clips: int, n: int) -> tuple[Tensor, Tensor]:
-    """Computes linear dynamics A (B, T - 1, n, n), B (B, T - 1, n, 48) from transitions' slopes; shape, camera stay."""
-    of_change, of_z = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
-    a, b = of_change.new_zeros(*of_change.shape[:2], n, n), of_z.new_zeros(*of_z.shape[:2], n, LATENTS)
-    a[..., :CHANGE, :CHANGE], b[..., :CHANGE, :] = of_change, of_z
-    a[..., CHANGE:, CHANGE:] = torch.eye(n - CHANGE, dtype=a.dtype, device=a.device)
-    return a, b
 
 
 def prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:

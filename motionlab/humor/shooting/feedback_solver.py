@@ -9,10 +9,9 @@ There may be a second start: after some rounds, with slopes at few frames until 
 rounds search several modes at once, of which each component of the initial-state mixture makes one (``mixture_modes``),
 each in its own coordinates: a closure of four roll-outs takes about twice as long as one of one.
 
-Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop); for the modes none: HuMoR (Rempe et al. 2021)
-has the mixture, and its optimiser stays where stage 2 puts it.
+Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop); for the modes none.
 Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
-are no unknowns of their own, and the search begins at a roll-out (``start.start_stage_3``).
+are no unknowns of their own.
 """
 
 import time
@@ -77,9 +76,8 @@ def solve(
 ) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
     """Runs the feedback solver from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
-    second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: where
-    the coordinates come from, called as ``coordinates.linearised``; another for ablations. note: called whenever
-    energies are known.
+    second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: called
+    as ``coordinates.linearised``; another for ablations. note: called whenever energies are known.
 
     Returns:
         the unknowns of lowest energy, and the reports of all rounds, of all clips; of one that is done: "no decrease".
@@ -219,8 +217,7 @@ def minimise_from(
 
 
 def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
-    """Of each clip the row (G,) of lowest energy, and the report of rows as one of clips ``who``; a person who stops
-    one row of a clip stops the clip."""
+    """Of each clip the row (G,) of lowest energy, and the report of rows as one of clips ``who``."""
     clips = int(who.max()) + 1
     mine = who == torch.arange(clips, device=who.device)[:, None]  # (G, R)
     best = torch.where(mine, fit.energy, torch.inf).argmin(1)

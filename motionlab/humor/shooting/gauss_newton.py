@@ -182,33 +182,24 @@ def _posed(x: Tensor, betas: Tensor, size: int) -> tuple[Tensor, Tensor]:
     place = scales(betas)[:, CARRIERS, None] * PLACE.to(x)
     way = (turns[:, CARRIERS] @ place[..., None])[..., 0]
     points = torch.cat((p, p[:, CARRIERS] + way), 1)
-    out = x.new_zeros(len(x), points.shape[1], 3, size)
+    out = _carried(points, size)
     out[..., :3] = torch.eye(3, dtype=x.dtype, device=x.device)
     lever = points[:, None] - p[:, :, None]  # (N, 22, P, 3)
     turned = torch.linalg.cross(axes.mT[:, :, None], lever[..., None, :].expand(-1, -1, -1, 3, -1))  # (N, 22, P, 3a, 3)
     turned = turned * _ABOVE.to(x)[:, :, None, None]
     out[..., ADDED:XI] = turned.permute(0, 2, 4, 1, 3).flatten(3)
-    out[..., XI] = _about_z(points)
-    out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
     longer = torch.einsum("nkc,kp,kg->npcg", stretch, _HANGS.to(x), _IN_GROUP.to(x))
     longer[:, _J:] += SPREAD * way[..., None] * _IN_GROUP.to(x)[CARRIERS][:, None]
     out[..., CHANGE : CHANGE + BETAS] = longer
     return points, out
 
 
-def _about_z(v: Tensor) -> Tensor:
-    """e_z x v (..., 3)."""
-    return torch.stack((-v[..., 1], v[..., 0], torch.zeros_like(v[..., 0])), -1)
-
-
-def _own_joints(x: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """The 22 joints that the roll-out carries beside the pose, as :func:`_posed`."""
-    joints = x[:, _OWN].unflatten(1, (_J, 3))
-    out = x.new_zeros(len(x), _J, 3, size)
-    out[..., _OWN] = torch.eye(66, dtype=x.dtype, device=x.device).unflatten(0, (_J, 3))
-    out[..., XI] = _about_z(joints)
+def _carried(points: Tensor, size: int) -> Tensor:
+    """How points (N, P, 3) move with their heading frame, as it turns and moves on the floor: (N, P, 3, n)."""
+    out = points.new_zeros(*points.shape, size)
+    out[..., 0, XI], out[..., 1, XI] = -points[..., 1], points[..., 0]
     out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
-    return joints, out
+    return out
 
 
 def residual_rows(
@@ -226,7 +217,9 @@ def residual_rows(
     size = CHANGE + BETAS + (3 if free else 0)
     flat, weigh = x.flatten(0, 1), defaultdict(float, weights)
     points, every = _posed(flat, betas.repeat_interleave(frames, 0), size)
-    (carried, own), slopes = _own_joints(flat, size), every[:, :_J]
+    joints, slopes = flat[:, _OWN].unflatten(1, (_J, 3)), every[:, :_J]  # those that the roll-out carries; the body's
+    own = _carried(joints, size)
+    own[..., _OWN] = torch.eye(66).to(own).unflatten(0, (_J, 3))
     found = [weigh["joint_consistency"] ** 0.5 * (slopes - own).flatten(1, 2)]
     if evidence.view is None:
         seen = (evidence.weight * weigh["joints3d"]).sqrt().flatten(0, 1)
@@ -241,7 +234,7 @@ def residual_rows(
     of_frame = torch.cat(found, 1).unflatten(0, (clips, frames))
 
     parents = list(energies.BONE_PARENTS)
-    bones = carried[:, 1:] - carried[:, parents]
+    bones = joints[:, 1:] - joints[:, parents]
     way = bones / bones.norm(dim=-1, keepdim=True).clamp(min=1e-6)
     lengths = (way[..., None] * (own[:, 1:] - own[:, parents])).sum(-2)
     lengths = lengths.mul_(weigh["bone_length"] ** 0.5).unflatten(0, (clips, frames))
