@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 from tqdm import tqdm
 
 from motionlab.errors import NotConverged, ShapeError
@@ -117,9 +116,9 @@ class Memory:
     """The newest pairs (way, change of gradient) of every clip, in rings of slots (slots, B, N)."""
 
     def __init__(self, like: Tensor, size: int) -> None:
-        self.size = max(size, 1)
-        self.ways = self.changes = like.new_zeros(0, *like.shape)
-        self.rho = like.new_zeros(0, len(like))
+        self.size = size
+        self.ways, self.changes = like.new_zeros(2, size, *like.shape)
+        self.rho = like.new_zeros(size, len(like))
         self.pairs = torch.zeros(len(like), dtype=torch.long, device=like.device)  # pushed since last forgotten
         self.scale = like.new_ones(len(like))
 
@@ -132,13 +131,7 @@ class Memory:
         curvature = (way * change).sum(-1)
         good = curvature > torch.finfo(way.dtype).eps * way.norm(dim=-1) * change.norm(dim=-1)
         rows, way, change, curvature = rows[good], way[good], change[good], curvature[good]
-        if not len(rows):
-            return
         slot = self.pairs[rows] % self.size
-        while len(self.rho) <= int(slot.max()):
-            more = min(max(len(self.rho), 8), self.size - len(self.rho))
-            grown = (F.pad(x, (0, 0) * (x.ndim - 1) + (0, more)) for x in (self.ways, self.changes, self.rho))
-            self.ways, self.changes, self.rho = grown
         self.ways[slot, rows], self.changes[slot, rows], self.rho[slot, rows] = way, change, 1 / curvature
         self.scale[rows] = curvature / change.square().sum(-1)
         self.pairs[rows] += 1
@@ -283,7 +276,7 @@ class _Machine:
         self.d, self.g = torch.zeros_like(self.x), torch.zeros_like(self.x)
         self.best, self.best_energy = self.x.clone(), self.x.new_full((len(self.x),), math.inf)
         self.clips = [_Clip() for _ in self.x]
-        self.memory = Memory(self.x, memory)
+        self.memory = Memory(self.x, max(min(memory, iterations), 1))
         self.history: list[Tensor] = []
 
     def running(self) -> list[int]:

@@ -118,6 +118,10 @@ class View:
         shift = -(turn @ centre[..., None])[..., 0]
         return [Camera(*each, *self.size) for each in zip(self.intrinsics, turn, shift, strict=True)]
 
+    def rows(self, index: Tensor) -> View:
+        """Returns the cameras of some clips, in the order of ``index``."""
+        return replace(self, **{name: getattr(self, name)[index] for name in ("intrinsics", "rotation", "centre")})
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -134,10 +138,7 @@ class Evidence:
 
     def rows(self, index: Tensor) -> Evidence:
         """Returns the evidence of some clips, in the order of ``index``."""
-        view = self.view
-        if view is not None:
-            each = {name: getattr(view, name)[index] for name in ("intrinsics", "rotation", "centre")}
-            view = replace(view, **each)
+        view = self.view and self.view.rows(index)
         return replace(self, values=self.values[index], weight=self.weight[index], view=view)
 
     @property
@@ -164,10 +165,10 @@ class Evidence:
 
     def windows(self, starts: Tensor, length: int) -> Evidence:
         """Cuts every clip into W windows of ``length`` that begin at ``starts`` (W,): clips become B W rows."""
-        every = self.rows(torch.arange(len(self.values)).repeat_interleave(len(starts)))
         at = starts[:, None] + torch.arange(length)
         values, weight = (x[:, at].flatten(0, 1) for x in (self.values, self.weight))
-        return replace(every, values=values, weight=weight)
+        rows = torch.arange(len(self.values)).repeat_interleave(len(starts))
+        return replace(self, values=values, weight=weight, view=self.view and self.view.rows(rows))
 
 
 def evidence(
