@@ -46,7 +46,7 @@ _PAIRS = (("neck", "mid_hip"), ("neck", "nose"), *_SIDED, *_OTHER_SIDE)
 _BONES = [tuple(map(BODY_25.index, pair)) for pair in _PAIRS]
 #: An upright body that looks into the camera, whose axes are right, down and forward: the rotation vector (pi, 0, 0).
 _FACING = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
-#: For the 3-D start; limbs count little, as they move.
+#: The rigid part of the body, for the 3-D start: limbs count little, as they move.
 _TORSO = STANDARD.indices(
     ["pelvis", "left_hip", "right_hip", "spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"]
 )

@@ -8,7 +8,7 @@ Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2
 Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; only stage 3 cuts a
 recording into windows; the start is found in closed form and interpolated where nothing was seen; stage 1 is smooth;
 transitions of which nothing was seen start at the prior's mean. "official" mode has the official code's unknowns, start
-and missing masks. Stage 3 has two solvers: "rollout", the original sub-stages, and "shooting", the same energy faster.
+and missing masks. Stage 3 has two solvers: "rollout", the original sub-stages, and in lean mode the faster "shooting".
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MAX_LATENT_CHI2, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How much work a fit does, and how a recording is cut; the official configurations.
+    """How much work a fit does, and how a recording is cut. Source: the official configurations.
 
     steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
     sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
