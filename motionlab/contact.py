@@ -29,8 +29,7 @@ def resting_heights(skeleton: Skeleton) -> Tensor:
 
 
 def _hysteresis(on: Tensor, off: Tensor) -> Tensor:
-    """Runs of not ``off`` in time that hold at least one ``on``: bool (..., T, C), as both. The same forwards and
-    backwards in time: a run begins and ends at the loose threshold and needs the strict one once."""
+    """Runs of not ``off`` in time that hold at least one ``on``: bool (..., T, C), as both."""
     on = on & ~off
 
     def since(on: Tensor, off: Tensor) -> Tensor:  # was the last event an "on"?
@@ -49,17 +48,15 @@ def contacts_from_positions(
     A contact is a run of frames below both loose thresholds that goes below both strict ones at least once.
 
     Args:
-        fps: frames per second; speeds are central differences in space, one-sided at the ends.
         resting: (C,) or (..., 1, C) height in metres of each joint while it touches; see :func:`resting_heights`.
         height: strict and loose bound on the height above ``resting``, metres.
-        speed: strict and loose bound on the speed, metres per second.
+        speed: strict and loose bound on the speed (``motion.velocity``), metres per second.
 
     Raises:
         ShapeError: fewer than two frames, which have no speed.
     """
-    sizes = check_shape(positions, "... T C 3", "positions")
-    if sizes["T"] < 2:
-        raise ShapeError(f"positions: {sizes['T']} frames have no speed; contacts need at least 2")
+    if (frames := check_shape(positions, "... T C 3", "positions")["T"]) < 2:
+        raise ShapeError(f"positions: {frames} frames have no speed; contacts need at least 2")
     above = positions[..., 2] - resting
     moving = torch.linalg.vector_norm(velocity(positions, fps, dim=-3), dim=-1)
     on = (above < height[0]) & (moving < speed[0])

@@ -1,6 +1,7 @@
 """Moves motions into the heading frame, which turns with where a body faces, or into another frame, and back."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -10,8 +11,7 @@ from motionlab.errors import check_shape
 from motionlab.motion import Motion
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
+class Frame(NamedTuple):
     """Local coordinates: local = turn (world + shift).
 
     turn (..., 3, 3): local from world. shift (..., 3): metres, world; minus the origin of the local frame.
@@ -20,10 +20,6 @@ class Frame:
     turn: Tensor
     shift: Tensor
 
-    def __post_init__(self) -> None:
-        check_shape(self.turn, "... 3 3", "turn")
-        check_shape(self.shift, "... 3", "shift")
-
 
 def heading_frame(root: Tensor, orientation: Tensor) -> Frame:
     """Computes the heading frame from a root: on the floor below it, y where the body looks; heights stay heights.
@@ -31,9 +27,8 @@ def heading_frame(root: Tensor, orientation: Tensor) -> Frame:
     A = [[r_x, r_y], [-r_y, r_x]] / |r| takes the body's right axis on the floor, r = -orientation[:2, 0], to
     +x; shift = (-x, -y, 0). A body lying exactly on its side has no heading and keeps the world's axes.
 
-    Args:
-        root: (..., 3) position of the root, metres, world. orientation: (..., 3, 3) of the root, world.
-    Source: HuMoR's canonical frame. Differs: exact, where HuMoR takes acos of a guarded cosine.
+    root (..., 3): metres, world. orientation (..., 3, 3): of the root, world.
+    Source: HuMoR's canonical frame, see ``rotation.yaw``.
     """
     check_shape(root, "... 3", "root")
     check_shape(orientation, "... 3 3", "orientation")
@@ -54,18 +49,17 @@ def stuck_root(motion: Motion) -> tuple[Motion, Frame]:
 
 def world_to_local(frame: Frame, motion: Motion) -> Motion:
     """Turns and moves a motion into a frame's coordinates; the frame has the axes of ``motion.root`` (T may be 1)."""
-    turned = world_to_local_orientations(frame, motion.rot[..., 0, :, :])
-    return _with_root(motion, world_to_local_positions(frame, motion.root), turned)
+    return _with_root(motion, frame, world_to_local_positions, world_to_local_orientations)
 
 
 def local_to_world(frame: Frame, motion: Motion) -> Motion:
     """Turns and moves a motion out of a frame's coordinates: the inverse of :func:`world_to_local`."""
-    turned = local_to_world_orientations(frame, motion.rot[..., 0, :, :])
-    return _with_root(motion, local_to_world_positions(frame, motion.root), turned)
+    return _with_root(motion, frame, local_to_world_positions, local_to_world_orientations)
 
 
-def _with_root(motion: Motion, root: Tensor, orientation: Tensor) -> Motion:
-    return replace(motion, root=root, rot=torch.cat((orientation[..., None, :, :], motion.rot[..., 1:, :, :]), dim=-3))
+def _with_root(motion: Motion, frame: Frame, positions, orientations) -> Motion:
+    turned = orientations(frame, motion.rot[..., :1, :, :])
+    return replace(motion, root=positions(frame, motion.root), rot=torch.cat((turned, motion.rot[..., 1:, :, :]), -3))
 
 
 def world_to_local_positions(frame: Frame, positions: Tensor) -> Tensor:

@@ -29,9 +29,6 @@ class Motion:
     name: where it came from, for tables and messages.
     notes: what a loader had to decide or guess (unit, up axis, dropped channels), one sentence each.
 
-    It stores matrices because the rotation representation is an argument of an experiment, never a
-    property of a container.
-
     Raises:
         ShapeError: the arrays do not fit each other or the skeleton, or fps is not positive.
     """
@@ -100,10 +97,8 @@ class Motion:
 
 
 def velocity(x: Tensor, fps: float, dim: int) -> Tensor:
-    """Computes rates of change per second by central differences, one-sided at the ends; one frame gives zeros.
-
-    Source: HuMoR's state velocities (central inside, one-sided at the ends).
-    """
+    """Computes rates of change per second by central differences, one-sided at the ends, as in HuMoR's states; one
+    frame gives zeros."""
     if x.shape[dim] < 2:
         return torch.zeros_like(x)
     return torch.gradient(x, spacing=1.0 / fps, dim=dim)[0]
@@ -130,9 +125,8 @@ def resample(motion: Motion, fps: float, how: str = "linear", times: Sequence[fl
     The first frame stays; the last sample is the last that lies inside the recording.
 
     Args:
-        how: "linear": positions linearly, rotations by slerp. "spline": a cubic spline through positions, and one
-            through unit quaternions of one sign, normed again; between samples of 24 a second its accelerations are
-            nearer to the truth (docs/experiments.md).
+        how: "linear": positions linearly, rotations by slerp. "spline": cubic splines through positions and through
+            unit quaternions of one sign, normed again; its accelerations are nearer to the truth (docs/experiments.md).
         times: seconds (T,) of its frames, rising from 0, where they do not come at even times.
 
     Raises:
@@ -153,10 +147,8 @@ def resample(motion: Motion, fps: float, how: str = "linear", times: Sequence[fl
     weight = (at - low).to(motion.root)
     near = at.round().long().clamp(max=motion.frames - 1)
     if how == "spline" and motion.frames > 3:
-        root = _spline(motion.root, at)
-        rot = rotation.quaternion_to_matrix(
-            _spline(rotation.unroll_quaternion(rotation.matrix_to_quaternion(motion.rot), dim=-3), at)
-        )
+        signed = rotation.unroll_quaternion(rotation.matrix_to_quaternion(motion.rot), dim=-3)
+        root, rot = _spline(motion.root, at, -2), rotation.quaternion_to_matrix(_spline(signed, at, -3))
     else:
         root = torch.lerp(motion.root[..., low, :], motion.root[..., high, :], weight[:, None])
         rot = rotation.slerp(motion.rot[..., low, :, :, :], motion.rot[..., high, :, :, :], weight[:, None])
@@ -164,14 +156,11 @@ def resample(motion: Motion, fps: float, how: str = "linear", times: Sequence[fl
     return replace(motion, fps=float(fps), root=root, rot=rot, contacts=contacts)
 
 
-def _spline(x: Tensor, at: Tensor) -> Tensor:
-    """A cubic spline through x (..., T, [J,] C) at times ``at``, in frames; T is the third axis from behind of four
-    numbers a joint, the second of three."""
+def _spline(x: Tensor, at: Tensor, dim: int) -> Tensor:
+    """A cubic spline through x at times ``at``, in frames, along its axis ``dim``."""
     from scipy.interpolate import CubicSpline
 
-    axis = x.ndim - (3 if x.shape[-1] == 4 else 2)
-    found = CubicSpline(range(x.shape[axis]), x.double().numpy(), axis=axis)(at.numpy())
-    return torch.from_numpy(found).to(x)
+    return torch.from_numpy(CubicSpline(range(x.shape[dim]), x.double().numpy(), axis=dim)(at.numpy())).to(x)
 
 
 def windows(motion: Motion, length: int, stride: int) -> Motion:
@@ -218,8 +207,7 @@ def joined(motions: Iterable[Motion]) -> Motion:
 def mirror(motion: Motion) -> Motion:
     """Mirrors a motion in the world's plane x = 0: left becomes right.
 
-    R'_j = M R_partner(j) M with M = diag(-1, 1, 1); root and contacts likewise; a skeleton that is not
-    symmetric gets its partner's bone lengths.
+    R'_j = M R_partner(j) M, M = diag(-1, 1, 1); root, contacts and bones likewise.
 
     Raises:
         ShapeError: no two joints are named left_... and right_..., so that nothing says what changes places.
@@ -242,8 +230,6 @@ def mirror(motion: Motion) -> Motion:
 
 def fix_root_horizontally(motion: Motion) -> Motion:
     """Holds the root above (0, 0) at every frame, height and orientation as they were; contacts are dropped.
-
-    Not invertible: the path over the floor is gone, and with it which foot stood still.
 
     Source: thesis 4.1.2, the first version of its data.
     """

@@ -17,9 +17,7 @@ from motionlab.motion import FPS
 def at_rate(observation: Observation2D, *, times: np.ndarray | None = None) -> Observation2D:
     """Computes keypoints at 30 frames a second: linear where both frames saw the point, else the nearer frame's.
 
-    The first frame stays; the last sample is the last that lies inside the recording.
-
-    times (T,): seconds of the frames since the first, where they do not come at even times.
+    The first frame stays; no sample lies behind the last. times (T,): seconds of uneven frames since the first.
     """
     last = (observation.frames - 1) / observation.fps if times is None else float(times[-1])
     count = int(last * FPS + 1e-6) + 1
@@ -37,7 +35,7 @@ def at_rate(observation: Observation2D, *, times: np.ndarray | None = None) -> O
     return replace(observation, keypoints=points, confidence=confidence, fps=FPS)
 
 
-#: OpenPose BODY_25, in OpenPose's order.
+#: OpenPose's keypoints in its order.
 BODY_25 = (
     "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
     "mid_hip", "right_hip", "right_knee", "right_ankle", "left_hip", "left_knee", "left_ankle", "right_eye",

@@ -1,14 +1,12 @@
 """Minimises B independent energies at once by L-BFGS: memory, direction and line search belong to each clip alone.
 
-One evaluation (closure) serves all clips. Every clip is a state machine of its own: while one still searches along
-its line, another is iterations ahead, and no evaluation waits for a neighbour. What a clip does is what
-``torch.optim.LBFGS`` with strong Wolfe would do to it alone, whatever its neighbours are.
+One evaluation (closure) serves all clips, each of which is a state machine: while one still searches along its line,
+another is iterations ahead. What a clip does is what ``torch.optim.LBFGS`` with strong Wolfe would do to it alone.
 
 Source: Nocedal and Wright, Numerical Optimization, algorithms 7.4, 3.5 and 3.6; constants of ``torch.optim.LBFGS``.
 Differs: torch evaluates the start of each outer step once more and cuts its last line search short; here neither. A
 trial that is not finite is taken back towards the last finite one. A search without a lower energy forgets its memory
-and tries steepest descent once before it gives up. torch ignores pairs with a curvature below 1e-10 in the energy's own
-unit, and so crawls where energies are small.
+and tries steepest descent once. torch ignores pairs with a curvature below 1e-10 in the energy's own unit.
 """
 
 import math
@@ -20,7 +18,6 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 from tqdm import tqdm
 
 from motionlab.errors import NotConverged, ShapeError
@@ -110,10 +107,7 @@ def _cubic(a: Trial, b: Trial, low: float, high: float) -> float:
         return (low + high) / 2
     d = a.slope + b.slope - 3 * (a.energy - b.energy) / (a.step - b.step)
     root = d * d - a.slope * b.slope
-    if root < 0:
-        return (low + high) / 2
-    bottom = b.slope - a.slope + 2 * math.sqrt(root)
-    if bottom == 0:
+    if root < 0 or not (bottom := b.slope - a.slope + 2 * math.sqrt(root)):
         return (low + high) / 2
     return min(max(b.step - (b.step - a.step) * ((b.slope + math.sqrt(root) - d) / bottom), low), high)
 
@@ -122,9 +116,9 @@ class Memory:
     """The newest pairs (way, change of gradient) of every clip, in rings of slots (slots, B, N)."""
 
     def __init__(self, like: Tensor, size: int) -> None:
-        self.size = max(size, 1)
-        self.ways = self.changes = like.new_zeros(0, *like.shape)
-        self.rho = like.new_zeros(0, len(like))
+        self.size = size
+        self.ways, self.changes = like.new_zeros(2, size, *like.shape)
+        self.rho = like.new_zeros(size, len(like))
         self.pairs = torch.zeros(len(like), dtype=torch.long, device=like.device)  # pushed since last forgotten
         self.scale = like.new_ones(len(like))
 
@@ -137,13 +131,7 @@ class Memory:
         curvature = (way * change).sum(-1)
         good = curvature > torch.finfo(way.dtype).eps * way.norm(dim=-1) * change.norm(dim=-1)
         rows, way, change, curvature = rows[good], way[good], change[good], curvature[good]
-        if not len(rows):
-            return
         slot = self.pairs[rows] % self.size
-        while len(self.rho) <= int(slot.max()):
-            more = min(max(len(self.rho), 8), self.size - len(self.rho))
-            grown = (F.pad(x, (0, 0) * (x.ndim - 1) + (0, more)) for x in (self.ways, self.changes, self.rho))
-            self.ways, self.changes, self.rho = grown
         self.ways[slot, rows], self.changes[slot, rows], self.rho[slot, rows] = way, change, 1 / curvature
         self.scale[rows] = curvature / change.square().sum(-1)
         self.pairs[rows] += 1
@@ -176,7 +164,7 @@ class BatchFit:
 
     variables: the point of lowest energy that each clip saw. energy: (B,), inf where a clip never was finite.
     history: (closures, B) energies in order; a clip that has stopped stays at its lowest. seconds: wall time.
-    reasons: per clip "gradient", "no decrease", "steps", "closures", "non-finite" or "interrupted".
+    reasons: per clip "gradient" or "no decrease" (converged), "steps", "closures", "non-finite" or "interrupted".
     """
 
     variables: dict[str, Tensor]
@@ -190,11 +178,6 @@ class BatchFit:
         """Evaluations of all energies and gradients that were paid for."""
         return len(self.history)
 
-    @property
-    def converged(self) -> Tensor:
-        """(B,) true where a tolerance stopped the clip rather than a budget, a number or a person."""
-        return torch.tensor([reason in ("gradient", "no decrease") for reason in self.reasons])
-
 
 def begins(what: str, progress: bool | str) -> str | bool:
     """Says what begins, in a line on stderr where ``progress`` is "lines"; returns the name of its bars, or False."""
@@ -204,26 +187,17 @@ def begins(what: str, progress: bool | str) -> str | bool:
 
 
 def minimise_batch(
-    energy: Callable[..., Tensor],
-    variables: dict[str, Tensor],
-    *,
-    steps: int = 100,
-    max_closures: int | None = None,
-    inner: int = 20,
-    memory: int = 100,
-    tolerance_grad: float = 1e-7,
-    tolerance_change: float | Tensor = 0.0,
-    unit: bool = False,
-    progress: bool | str = False,
-) -> BatchFit:
+    energy: Callable[..., Tensor], variables: dict[str, Tensor], *, steps: int = 100, max_closures: int | None = None,
+    inner: int = 20, memory: int = 100, tolerance_grad: float = 1e-7, tolerance_change: float | Tensor = 0.0,
+    unit: bool = False, progress: bool | str = False,
+) -> BatchFit:  # fmt: skip
     """Lowers B energies by moving the variables (B, ...) that require gradients; the others are constants.
 
     The tensors passed in are copied, never moved. Ctrl-C, a spent budget or numbers that are not finite end a
     clip's search at its best point.
 
     Args:
-        energy: (n,) from the variables (n, ...) of the clips that still run, by name, and their numbers (n,); an entry
-            may depend on its own row only.
+        energy: row by row (n,) from the variables (n, ...) of the clips that still run, by name, and their numbers.
         variables: the start, all (B, ...) and, those that move, of one type and device.
         steps, inner: at most steps x inner iterations per clip.
         max_closures: never evaluate more often; None: 5/4 of the iterations, as torch's L-BFGS.
@@ -231,8 +205,7 @@ def minimise_batch(
         tolerance_grad: a clip stops when the largest entry of its gradient is at most this.
         tolerance_change: an iteration that lowers the energy by no more than this counts as none; (B,) for one
             number per clip.
-        unit: the variables are such that a step along minus the gradient is Newton's, or nearly: a first search begins
-            with it, instead of a step that moves nothing by more than 1.
+        unit: a first search begins with a whole step down the gradient, not one that moves nothing by more than 1.
         progress: show a bar with the mean energy and the number of clips that still run; or its name.
 
     Raises:
@@ -240,8 +213,7 @@ def minimise_batch(
         ShapeError: the energy is not (n,), ``tolerance_change`` not (B,), or the variables differ in their first axis.
         ValueError: no variable requires gradients, or those that do differ in type.
     """
-    machine = _Machine(energy, variables, memory)
-    machine.iterations, machine.tolerance_grad, machine.unit = steps * inner, tolerance_grad, unit
+    machine = _Machine(energy, variables, memory, steps * inner, tolerance_grad, unit)
     tolerance, each = torch.as_tensor(tolerance_change, dtype=torch.float64), (len(machine.clips),)
     if tolerance.ndim and tolerance.shape != each:
         raise ShapeError(f"tolerance_change: expected one number or {each}, got {tuple(tolerance.shape)}")
@@ -282,10 +254,12 @@ class _Clip:
 class _Machine:
     """All clips: points x, directions d and gradients g as rows of (B, N) tensors; one state machine each."""
 
-    iterations, tolerance_grad, unit = 0, 0.0, False
     tolerance_change: list[float]  # of each clip
 
-    def __init__(self, energy: Callable[..., Tensor], variables: dict[str, Tensor], memory: int) -> None:
+    def __init__(
+        self, energy, variables: dict[str, Tensor], memory: int, iterations: int, tolerance_grad, unit
+    ) -> None:
+        self.iterations, self.tolerance_grad, self.unit = iterations, tolerance_grad, unit
         moving = {name: value.detach() for name, value in variables.items() if value.requires_grad}
         if not moving:
             names = ", ".join(variables) or "no variables"
@@ -302,7 +276,7 @@ class _Machine:
         self.d, self.g = torch.zeros_like(self.x), torch.zeros_like(self.x)
         self.best, self.best_energy = self.x.clone(), self.x.new_full((len(self.x),), math.inf)
         self.clips = [_Clip() for _ in self.x]
-        self.memory = Memory(self.x, memory)
+        self.memory = Memory(self.x, max(min(memory, iterations), 1))
         self.history: list[Tensor] = []
 
     def running(self) -> list[int]:

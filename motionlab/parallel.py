@@ -10,20 +10,15 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context
-from typing import TypeVar
 
 import torch
 
-T = TypeVar("T")
-#: Rows of a batch that gets more than one thread. On two idle cores a second one gains a roll-out and its gradient
-#: nothing up to 16 rows, and 1.2 to 1.5 times from 64 on; beside other work they lose up to 256 (bench_threads.py).
-WIDE = 256
+WIDE = 256  # rows of a batch that gets more than one thread: beside other work, fewer lose by it (bench_threads.py)
 
 
 @contextmanager
 def threads_for(rows: int) -> Iterator[None]:
-    """Limits torch to one thread inside the block, unless ``rows`` is at least ``WIDE``: threads that wait for each
-    other spin, and beside other work a small batch on two threads costs many times its processor time."""
+    """Limits torch to one thread inside the block, unless ``rows`` is at least ``WIDE``."""
     before = torch.get_num_threads()
     if rows < WIDE:
         torch.set_num_threads(1)
@@ -38,15 +33,9 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def one_thread() -> None:
-    """Limits this process to one thread from now on, unless $OMP_NUM_THREADS says how many."""
-    if not os.environ.get("OMP_NUM_THREADS"):
-        torch.set_num_threads(1)
-
-
 def run_jobs(
-    jobs: Sequence[Callable[[], T]], workers: int, done: Callable = lambda k, found: None, apart: bool = False
-) -> list[T]:
+    jobs: Sequence[Callable], workers: int, done: Callable = lambda k, found: None, apart: bool = False
+) -> list:
     """Runs jobs in ``workers`` processes, one thread each; returns their results in order. With one worker they run
     here, one after the other, unless ``apart``. One that fails, or Ctrl-C, ends them all.
 

@@ -9,8 +9,8 @@ motion prior's weight, so that E / w is in nats, and p ~ exp(-E / (T w)),
 
     nu ~ N(0, T w),      every draw rolled out exactly.
 
-An energy is too sure: it knows what noise and prior may have wrong, not what the model itself has. So ``places`` widens
-regions until they held what they promise on recorded people who were kept apart for that (split-conformal, by person).
+An energy is too sure. So ``places`` widens regions until they held what they promise on recorded people who were kept
+apart for that (split-conformal, by person).
 
 Source: Lee, Barber and Willett 2023 (conformal prediction where people bring many numbers each). Calibration:
 ``notebooks/studies/nb09_posterior``.
@@ -59,10 +59,7 @@ class Draws:
         """Returns the same draws, each of their motions changed alike: moved, or made larger."""
         return replace(self, fit=how(self.fit), motions=how(self.motions))
 
-    @property
-    def limbs(self) -> Tensor:
-        """Which joints (J,) are of limbs, whose places are calibrated."""
-        return _LIMBS
+    limbs = _LIMBS  # which joints (J,) are of limbs, whose places are calibrated
 
     def places(self, level: float = 0.9) -> tuple[Tensor, Tensor]:
         """Computes regions that hold a level of hidden joints: centres c (T, J, 3) and S (T, J, 3, 3), metres.
@@ -80,11 +77,7 @@ class Draws:
         return self.fit.root[:, None] + mean, RADII[level] ** 2 * (spread + floor)
 
     def summary(self, level: float = 0.9) -> list[str]:
-        """Returns a sentence for every limb's joint while it is hidden, its region's mean half-width in cm; and doubts.
-
-        Raises:
-            ValueError: a level without a radius.
-        """
+        """Returns sentences: of every limb's joint while hidden, its region's mean half-width in cm; and doubts."""
         width = 100 * self.places(level)[1].diagonal(dim1=-2, dim2=-1).mean(-1).sqrt()
         said = []
         for joint, name in enumerate(self.fit.skeleton.names):

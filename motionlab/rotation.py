@@ -1,8 +1,7 @@
 """Rotations: conversions, log/exp, distance, interpolation, averages, and continuity in time.
 
-Convention: active rotations of column vectors, R = R_parent_from_child; angles in radians; quaternions
-are (w, x, y, z). kornia does what kornia has. exp and log are our own: kornia's divide by angles so small
-that in float32 their second derivatives are off by 2e-2 (exp at 1e-3 rad) and 2e-3 (log at 1e-4 rad). Here
+Convention: active rotations of column vectors, R = R_parent_from_child; radians; quaternions are (w, x, y, z).
+kornia does what kornia has. exp and log are our own: the second derivatives of kornia's are off near 0 in float32. Here
 both are series in the squared angle where it is small, good to rounding in value and both derivatives.
 """
 
@@ -31,8 +30,6 @@ def exp(tangent: Tensor) -> Tensor:
     """Converts rotation vectors (..., 3) in radians to matrices (..., 3, 3), by Rodrigues' formula.
 
     R = cos(t) I + sin(t)/t [v]x + (1 - cos(t))/t^2 v v^T,  t = |v|
-
-    Finite and exact first and second derivatives everywhere, also at zero.
     """
     check_shape(tangent, "... 3", "tangent")
     t2 = (tangent * tangent).sum(-1)
@@ -48,9 +45,8 @@ def exp(tangent: Tensor) -> Tensor:
 def log(matrix: Tensor) -> Tensor:
     """Converts matrices (..., 3, 3) to rotation vectors (..., 3) with angle in [0, pi]: the inverse of :func:`exp`.
 
-    First and second derivatives are finite everywhere and exact for changes that stay a rotation. At a half
-    turn the vector itself jumps to its opposite (no logarithm is continuous there); the derivative is that of
-    the branch returned.
+    Derivatives are exact for changes that stay a rotation. At a half turn the vector jumps to its opposite (no
+    logarithm is continuous there); the derivative is that of the branch returned.
     """
     q = torch.nn.functional.normalize(matrix_to_quaternion(matrix), dim=-1)
     w, v = q[..., :1], q[..., 1:]  # w >= 0: the vector is 2 atan2(|v|, w) v / |v|
@@ -98,9 +94,8 @@ def sixd_to_matrix(sixd: Tensor) -> Tensor:
     So write Zhou et al. 2019 and HumanML3D. pytorch3d and MDM write the first two rows: of their six numbers the
     transpose of what comes out is the rotation.
 
-    Six numbers that span no plane name no rotation. The result is then still a rotation, and constant (no
-    gradient) in what is undefined: a zero first vector counts as the first coordinate axis, a second one that
-    is zero or parallel to the first (to 1e-6 rad) as some direction at right angles to it.
+    Six numbers that span no plane still give a rotation, without gradient in what is undefined: a zero first vector
+    counts as the first axis, a second one that is zero or parallel to it (to 1e-6 rad) as some direction across.
     """
     check_shape(sixd, "... 6", "sixd")
     a, b = sixd[..., :3], sixd[..., 3:]
@@ -177,27 +172,22 @@ def matrix_to_euler(matrix: Tensor, order: str) -> Tensor:
 
 
 def geodesic(a: Tensor, b: Tensor) -> Tensor:
-    """Computes the angle (...) in [0, pi] between two rotations (..., 3, 3).
+    """Computes the angle (...) in [0, pi] between two rotations (..., 3, 3); where they are equal its gradient is 0.
 
-    By the half angle's tangent: good to rounding at tiny angles and near pi, where acos of the trace loses
-    half the digits. Where the rotations are equal its gradient is 0.
+    Good to rounding at tiny angles and near pi, where acos of the trace loses half the digits.
     """
     return torch.linalg.vector_norm(log(a.mT @ b), dim=-1)
 
 
 def slerp(a: Tensor, b: Tensor, weight: Tensor) -> Tensor:
-    """Interpolates a fraction ``weight`` (...) of the way along the shortest path from a to b (..., 3, 3).
-
-    For rotations exactly a half turn apart two paths are shortest; one of them is taken.
-    """
+    """Interpolates a fraction ``weight`` (...) of the way along the shortest path from a to b (..., 3, 3)."""
     return a @ exp(weight[..., None] * log(a.mT @ b))
 
 
 def nearest(matrix: Tensor) -> Tensor:
-    """Computes the rotation (..., 3, 3) nearest to any matrix in the Frobenius norm, by singular values.
+    """Computes the rotation (..., 3, 3) nearest to any matrix in the Frobenius norm, U diag(1, 1, det(U V^T)) V^T.
 
-    U diag(1, 1, det(U V^T)) V^T. Not unique (and its gradient not finite) where the two smallest singular
-    values cancel, as for the zero matrix: then one of the nearest is returned.
+    Where the two smallest singular values cancel, one of the nearest, and its gradient is not finite.
     """
     check_shape(matrix, "... 3 3", "matrix")
     u, _, vt = torch.linalg.svd(matrix)
@@ -206,11 +196,9 @@ def nearest(matrix: Tensor) -> Tensor:
 
 
 def mean(rotations: Tensor) -> Tensor:
-    """Computes the mean (..., 3, 3) of N rotations (..., N, 3, 3): the minimiser of sum |R - R_n|_F^2.
+    """Computes the chordal mean (..., 3, 3) of N rotations (..., N, 3, 3): the minimiser of sum |R - R_n|_F^2.
 
-    The chordal mean: it needs no iteration, and for two rotations it is the middle of the shortest path.
-    Where no mean is best (two a half turn apart, the half turns about x, y, z with the identity) one of the best is
-    returned.
+    Of two it is the middle of the shortest path. Where none is best (as of two a half turn apart), one of the best.
     """
     check_shape(rotations, "... N 3 3", "rotations")
     return nearest(rotations.sum(-3))
@@ -266,11 +254,10 @@ def unroll_quaternion(quaternion: Tensor, dim: int = -2) -> Tensor:
 def unroll_axis_angle(aa: Tensor, dim: int = -2) -> Tensor:
     """Chooses of all vectors of each rotation, (|a| + 2 pi k) a/|a|, the one nearest to the frame before, (..., T, 3).
 
-    The first frame stays; a body that spins on leaves the ball of radius pi. No choice is continuous everywhere:
-    when a path that has left that ball passes near the zero rotation (|a| near 2 pi k, k > 0), its axis may
-    swing round in one frame and the vector jump with it. A zero rotation (to rounding) takes the axis of the
-    frame before. Sweeps over all frames at once: a cumulative sum unwraps the angles along a sign-continuous axis,
-    then k is corrected until no frame has a nearer choice.
+    The first frame stays. No choice is continuous everywhere: when a path that has left the ball of radius pi passes
+    near the zero rotation, its axis may swing round in one frame and the vector jump with it. A zero rotation (to
+    rounding) takes the axis of the frame before. A cumulative sum unwraps the angles along a sign-continuous axis, then
+    k is corrected until no frame has a nearer choice.
     """
     check_shape(aa, "... 3", "axis_angle")
     x = aa.movedim(dim, 0)

@@ -26,11 +26,10 @@ UPRIGHT = torch.tensor([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 class Skeleton:
     """A tree of joints.
 
-    names: J joint names. parents: index of each joint's parent, -1 for the root, which comes first;
-    every parent stands before its children. offsets (J, 3) or (..., J, 3): metres from the parent, in
-    the rest frame; offsets[0] is not used. contact_names: the joints that may touch the floor.
-    sole: metres from the lowest rest-pose joint down to the floor. roles: standard name -> own name, where a user said
-    what is what.
+    names: J joint names. parents: index of each joint's parent, -1 for the root, which comes first; every parent stands
+    before its children. offsets (J, 3) or (..., J, 3): metres from the parent, rest frame; offsets[0] is not used.
+    contact_names: the joints that may touch the floor. sole: metres from the lowest rest-pose joint down to the floor.
+    roles: standard name -> own name, where a user said what is what.
 
     Raises:
         ShapeError: parents or offsets do not fit the names, or a parent comes after its child.
@@ -56,11 +55,7 @@ class Skeleton:
         return len(self.names)
 
     def index(self, name: str) -> int:
-        """Returns the index of a joint by name.
-
-        Raises:
-            KeyError: no such joint; lists the names.
-        """
+        """Returns the index of a joint by name; KeyError lists the names."""
         try:
             return self.names.index(name)
         except ValueError:
@@ -77,9 +72,8 @@ class Skeleton:
 
     @cached_property
     def level_order(self) -> tuple[Tensor, Tensor, list[int], list[Tensor | None]]:
-        """What :func:`fk` walks along: joints sorted by level, the way back, how many joints each level has (the
-        root's first), and for each level below it the rows of its parents inside the level before (None: all of
-        them, in order)."""
+        """What :func:`fk` walks along: joints sorted by level, the way back, how many joints each level has, and for
+        each below the root's the rows of its parents inside the level before (None: all of them, in order)."""
         levels, rows = [[0]], []
         while below := [joint for joint, parent in enumerate(self.parents) if parent in levels[-1]]:
             parents = [levels[-1].index(self.parents[joint]) for joint in below]
@@ -137,9 +131,8 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
 
     R_j = R_parent(j) rot_j,  p_j = p_parent(j) + R_parent(j) offset_j
 
-    One step per level of the tree. Inside, joint and matrix axes stand before the batch and time axes, so that
-    a 3x3 product is a few passes over long rows and a level a block of memory: on a CPU twice as fast as batches
-    of tiny matrix products, forwards and backwards. The results are views of that layout, not contiguous.
+    One step per level of the tree, with joint and matrix axes before batch and time axes: on a CPU twice as fast as
+    batches of tiny matrix products. The results are views of that layout, not contiguous.
 
     Args:
         root: (..., 3) position of joint 0, metres, world.
@@ -174,29 +167,21 @@ def fk(skeleton: Skeleton, root: Tensor, rot: Tensor) -> tuple[Tensor, Tensor]:
 _NAMES, _PARENTS, _OFFSETS = zip(
     # name, parent, offset in metres; the proportions of anny's average adult, straightened to a T
     ("pelvis", -1, (0.0, 0.0, 0.0)),
-    ("left_hip", 0, (0.1146, -0.0092, -0.0081)),
-    ("right_hip", 0, (-0.1146, -0.0092, -0.0081)),
+    ("left_hip", 0, (0.1146, -0.0092, -0.0081)), ("right_hip", 0, (-0.1146, -0.0092, -0.0081)),
     ("spine1", 0, (0.0, 0.0854, -0.0397)),
-    ("left_knee", 1, (0.0, -0.4475, 0.0)),
-    ("right_knee", 2, (0.0, -0.4475, 0.0)),
+    ("left_knee", 1, (0.0, -0.4475, 0.0)), ("right_knee", 2, (0.0, -0.4475, 0.0)),
     ("spine2", 3, (0.0, 0.0753, 0.0157)),
-    ("left_ankle", 4, (0.0, -0.4546, 0.0)),
-    ("right_ankle", 5, (0.0, -0.4546, 0.0)),
+    ("left_ankle", 4, (0.0, -0.4546, 0.0)), ("right_ankle", 5, (0.0, -0.4546, 0.0)),
     ("spine3", 6, (0.0, 0.0865, 0.0013)),
-    ("left_foot", 7, (0.0054, -0.0710, 0.1380)),
-    ("right_foot", 8, (-0.0054, -0.0710, 0.1380)),
+    ("left_foot", 7, (0.0054, -0.0710, 0.1380)), ("right_foot", 8, (-0.0054, -0.0710, 0.1380)),
     ("neck", 9, (0.0, 0.3387, 0.0177)),
-    ("left_collar", 9, (0.0247, 0.2606, 0.0358)),
-    ("right_collar", 9, (-0.0247, 0.2606, 0.0358)),
+    ("left_collar", 9, (0.0247, 0.2606, 0.0358)), ("right_collar", 9, (-0.0247, 0.2606, 0.0358)),
     ("head", 12, (0.0, 0.1089, 0.0381)),
-    ("left_shoulder", 13, (0.1622, -0.0236, -0.0041)),
-    ("right_shoulder", 14, (-0.1622, -0.0236, -0.0041)),
-    ("left_elbow", 16, (0.2872, 0.0, 0.0)),
-    ("right_elbow", 17, (-0.2872, 0.0, 0.0)),
-    ("left_wrist", 18, (0.2580, 0.0, 0.0)),
-    ("right_wrist", 19, (-0.2580, 0.0, 0.0)),
+    ("left_shoulder", 13, (0.1622, -0.0236, -0.0041)), ("right_shoulder", 14, (-0.1622, -0.0236, -0.0041)),
+    ("left_elbow", 16, (0.2872, 0.0, 0.0)), ("right_elbow", 17, (-0.2872, 0.0, 0.0)),
+    ("left_wrist", 18, (0.2580, 0.0, 0.0)), ("right_wrist", 19, (-0.2580, 0.0, 0.0)),
     strict=True,
-)
+)  # fmt: skip
 ANKLES, BALLS = ("left_ankle", "right_ankle"), ("left_foot", "right_foot")  # a "foot" joint is its ball
 #: The contact joints of the feet, in the order of ``STANDARD.contact_names``.
 FEET = (*ANKLES, *BALLS)

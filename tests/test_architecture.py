@@ -18,7 +18,7 @@ FLOORS = """
         metrics retarget viz
     splits
     corpus diffusion.completer diffusion.denoising diffusion.model diffusion.windows humor.cvae
-    diffusion.inpainting diffusion.poses humor.energies humor.priors humor.transition
+    diffusion.inpainting diffusion.poses humor.energies humor.priors
     bench humor.compiled humor.evidence humor.pretrained
     humor.rollout
     humor.quality humor.unknowns

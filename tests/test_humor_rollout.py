@@ -8,10 +8,10 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import compiled, state, transition
+from motionlab.humor import compiled, state
+from motionlab.humor import rollout as chain
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
-from motionlab.humor.transition import DecoderLayers, Stepper
+from motionlab.humor.rollout import DecoderLayers, Stepper, decode_ahead, rollout, sample_rollout
 from motionlab.skeleton import STANDARD
 from tests.rolled_inputs import F64, first_states
 
@@ -71,7 +71,7 @@ def test_control_the_plain_loop_is_sensitive(model, generator, monkeypatch):
     """A wrong sign in the rotations would be seen: the test above is no tautology."""
     first, z = first_states(generator, 2), latents(generator, 2, 5)
     good = rollout(model, first, z, loops=False).states
-    monkeypatch.setattr(transition, "_QUATERNION", transition._QUATERNION.mT.contiguous())
+    monkeypatch.setattr(chain, "_QUATERNION", chain._QUATERNION.mT.contiguous())
     assert (rollout(model, first, z, loops=False).states - good).abs().max() > 1e-2
 
 

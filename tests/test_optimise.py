@@ -53,7 +53,7 @@ def test_every_clip_takes_the_path_of_torch(memory):
     """Energies, closure by closure, of one uncut step of torch's own; in a unit that keeps it from ignoring pairs."""
     x, unit = starts(), 1e8
     batch = minimise_batch(lambda v: unit * rosenbrock(v), {"x": x}, memory=memory, tolerance_grad=1e-7 * unit)
-    assert set(batch.reasons) == {"gradient"} and batch.converged.all()
+    assert set(batch.reasons) == {"gradient"}
     for b in range(len(x)):
         energy, begin = lambda v: unit * rosenbrock({"x": v["x"][None]}).sum(), {"x": x[b].detach().requires_grad_()}
         alone = minimise(energy, begin, steps=1, inner=900, memory=memory, tolerance_grad=1e-7 * unit)
@@ -129,7 +129,7 @@ def test_a_clip_without_numbers_disturbs_nobody(place):
 
     hurt = optimise.minimise_batch(broken, {"x": x})
     others = [b for b in range(len(x)) if b != 2]
-    assert hurt.reasons[2] == "non-finite" and not hurt.converged[2]
+    assert hurt.reasons[2] == "non-finite"
     assert torch.equal(hurt.variables["x"][2], x[2])
     assert hurt.energy[2] == (math.inf if place == "start" else rosenbrock({"x": x})[2])
     assert torch.equal(hurt.variables["x"][others], clean.variables["x"][others])
@@ -141,7 +141,7 @@ def test_a_wall_of_nan_is_backed_away_from():
     x = torch.full((2, 1), 5.0, dtype=torch.float64, requires_grad=True)
     found = minimise_batch(lambda v: (50 * v["x"] - v["x"].log()).sum(-1), {"x": x})
     assert (found.variables["x"] - 0.02).abs().max() < 1e-6 and found.history.isnan().any()
-    assert found.converged.all()
+    assert set(found.reasons) <= {"gradient", "no decrease"}
 
 
 def test_gradient_that_is_not_finite_is_not_returned():
@@ -177,7 +177,6 @@ def test_budget_is_spent_exactly(budget):
 
     found = minimise_batch(energy, {"x": starts()}, max_closures=budget)
     assert len(calls) == found.closures == budget and set(found.reasons) == {"closures"}
-    assert not found.converged.any()
 
 
 def test_interrupt_keeps_the_best():
@@ -190,7 +189,7 @@ def test_interrupt_keeps_the_best():
 def test_a_kink_ends_for_lack_of_progress():
     x = torch.tensor([[0.3, -0.2], [7.0, 0.1]], dtype=torch.float64, requires_grad=True)
     found = minimise_batch(lambda v: v["x"].abs().sum(-1), {"x": x}, steps=500)
-    assert set(found.reasons) == {"no decrease"} and found.converged.all() and found.closures < 600
+    assert set(found.reasons) == {"no decrease"} and found.closures < 600
 
 
 def test_float32_stops_at_its_rounding():

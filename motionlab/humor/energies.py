@@ -7,7 +7,6 @@ Source: HuMoR (Rempe et al. 2021), section 4, and its official code, whose value
 """
 
 from dataclasses import asdict, dataclass
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -27,12 +26,6 @@ SIGMA = 100.0  # pixels
 TOUCHING = 0.08  # metres: a joint in contact may be this far from the floor
 
 
-class _Density(Protocol):
-    """What :func:`init_motion_prior` needs of a distribution, such as ``priors.InitGmm``."""
-
-    def log_prob(self, features: Tensor) -> Tensor: ...
-
-
 def _per_clip(x: Tensor) -> Tensor:
     return x.flatten(1).sum(1)
 
@@ -48,10 +41,9 @@ def gmof(residual: Tensor, sigma: float = SIGMA) -> Tensor:
 
 
 def joints2d(pixels: Tensor, keypoints: Tensor, confidence: Tensor, sigma: float = SIGMA) -> Tensor:
-    """Computes sum conf^2 gmof(pixel - keypoint), coordinate by coordinate.
+    """Computes sum conf^2 gmof(pixel - keypoint), coordinate by coordinate, of pixels and keypoints (B, T, K, 2).
 
-    pixels, keypoints: (B, T, K, 2), predicted and detected. confidence: (B, T, K); where it is 0, or where the
-    keypoint is not finite, nothing was detected.
+    confidence: (B, T, K); where it is 0, or where the keypoint is not finite, nothing was detected.
     """
     check_shape(pixels, "B T K 2", "pixels")
     seen = (confidence > 0) & keypoints.isfinite().all(-1)
@@ -98,8 +90,8 @@ def motion_prior(z: Tensor, prior: Gaussian) -> Tensor:
     return _per_clip(prior.nll(z))
 
 
-def init_motion_prior(features: Tensor, initial: _Density) -> Tensor:
-    """Computes -log p(first state), nats; features (B, 138) of it in its own heading frame."""
+def init_motion_prior(features: Tensor, initial) -> Tensor:
+    """Computes -log p(first state), nats, by an ``InitGmm``; features (B, 138) of it in its own heading frame."""
     check_shape(features, "B 138", "features")
     return -initial.log_prob(features)
 
@@ -156,13 +148,10 @@ def floor_reg(floor: Tensor, initial: Tensor, frames: int = 1) -> Tensor:
 # ------------------------------------------------------------------------------------------------------------- weights
 Triple = tuple[float, float, float]
 
-#: Frames that stage 3 rolls out in its first sub-stage.
-_SHORT = 15
-
 
 @dataclass(frozen=True)
 class Weights:
-    """One triple per term: its weight in stages 1, 2 and 3. The fields are named as the functions of ``energies``.
+    """One triple per term, named as its function: its weight in stages 1, 2 and 3.
 
     A new term is a function, a field here and a line in ``stages.pose_terms`` or ``stages.rolled_terms``.
 
@@ -191,15 +180,13 @@ class Weights:
     def of(self, stage: int, *, frames: int | None = None, listed: bool = False) -> dict[str, float]:
         """Returns the weights above zero of one stage, by term.
 
-        frames: of the clip, from the second sub-stage of stage 3 on: the initial state's weight grows by frames/15,
-        to keep its share beside terms that are summed over frames. None: as listed. (Shape and floor terms take their
-        number of frames as an argument.)
-        listed: in stage 1 also smoothness and priors, which the official code lists and leaves out: it has only the
-        data there.
+        frames: of the clip, from the second sub-stage of stage 3 on: the initial state's weight grows by frames / 15
+        (the first one's), to keep its share beside terms that are summed over frames. None: as listed.
+        listed: in stage 1 also smoothness and priors, which the official code lists and leaves out.
         """
         found = {name: triple[stage - 1] for name, triple in vars(self).items()}
         if frames is not None:
-            found["init_motion_prior"] *= frames / _SHORT
+            found["init_motion_prior"] *= frames / 15
         counts = vars(self) if listed or stage > 1 else ("joints2d", "joints3d")
         return {name: weight for name, weight in found.items() if weight and name in counts}
 

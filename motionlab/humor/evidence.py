@@ -17,8 +17,7 @@ from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.skeleton import STANDARD
 
-#: Image sizes that are assumed where nobody says: the smallest that holds every detection.
-_SIZES = ((640, 480), (1280, 720), (1920, 1080), (3840, 2160))
+_SIZES = ((640, 480), (1280, 720), (1920, 1080), (3840, 2160))  # one is assumed that holds every detection
 #: Camera axes (right, down, forward) of a level camera that looks along the world's +y: rows.
 LEVEL = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 ASSUMED_HEIGHT = 1.2  # metres above the floor, of a camera of which nothing is known
@@ -28,19 +27,17 @@ _FEET = [k for k, name in enumerate(BODY_25) if name.endswith(("ankle", "toe", "
 UNSEEN = 0.03  # what stage 2 makes of a hidden joint counts so much, beside a seen one, in the start of stage 3
 
 
-def _shown() -> list[list[int]]:
-    """Three keypoints of BODY_25 for each of the 22 joints, any of which shows it."""
+def _shown(joint: str) -> list[int]:
+    """Three keypoints of BODY_25, any of which shows a joint."""
+    side, _, part = joint.rpartition("_")
+    if not side:
+        found = "nose left_ear right_ear" if part in ("head", "neck") else "mid_hip left_shoulder right_shoulder"
+        return [BODY_25.index(name) for name in found.split()]
     near = {"hip": "knee", "foot": "big_toe", "collar": "shoulder"}
-    trunk, rows = ["mid_hip", "left_shoulder", "right_shoulder"], []
-    for name in STANDARD.names:
-        side, _, part = name.rpartition("_")
-        point = f"{side}_{near.get(part, part)}"
-        found = ["nose", "left_ear", "right_ear"] if name in ("head", "neck") else [point] * 3 if side else trunk
-        rows.append([BODY_25.index(n) for n in found])
-    return rows
+    return [BODY_25.index(f"{side}_{near.get(part, part)}")] * 3
 
 
-_SHOWN = torch.tensor(_shown())
+_SHOWN = torch.tensor([_shown(name) for name in STANDARD.names])
 
 
 def feet_seen(confidence: Tensor) -> Tensor:
@@ -123,9 +120,7 @@ class View:
 
     def rows(self, index: Tensor) -> View:
         """Returns the cameras of some clips, in the order of ``index``."""
-        return replace(
-            self, intrinsics=self.intrinsics[index], rotation=self.rotation[index], centre=self.centre[index]
-        )
+        return replace(self, **{name: getattr(self, name)[index] for name in ("intrinsics", "rotation", "centre")})
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +128,6 @@ class Evidence:
     """An observation ready for the energies: values (B, T, K, D), zero where the weight (B, T, K) is zero.
 
     K, D = 22, 3 (joints in the world) without a view; 25, 2 (pixels of BODY_25, the weight a confidence) with one.
-    notes: what was assumed.
     """
 
     values: Tensor
@@ -144,7 +138,7 @@ class Evidence:
 
     def rows(self, index: Tensor) -> Evidence:
         """Returns the evidence of some clips, in the order of ``index``."""
-        view = None if self.view is None else self.view.rows(index)
+        view = self.view and self.view.rows(index)
         return replace(self, values=self.values[index], weight=self.weight[index], view=view)
 
     @property
@@ -172,11 +166,9 @@ class Evidence:
     def windows(self, starts: Tensor, length: int) -> Evidence:
         """Cuts every clip into W windows of ``length`` that begin at ``starts`` (W,): clips become B W rows."""
         at = starts[:, None] + torch.arange(length)
+        values, weight = (x[:, at].flatten(0, 1) for x in (self.values, self.weight))
         rows = torch.arange(len(self.values)).repeat_interleave(len(starts))
-        view = None if self.view is None else self.view.rows(rows)
-        return replace(
-            self, values=self.values[:, at].flatten(0, 1), weight=self.weight[:, at].flatten(0, 1), view=view
-        )
+        return replace(self, values=values, weight=weight, view=self.view and self.view.rows(rows))
 
 
 def evidence(
@@ -187,9 +179,8 @@ def evidence(
 
     Args:
         cameras: one per clip, instead of the observation's own.
-        floor: 2-D only. "camera": the camera's pose in the world is known and with it the floor; "refine": it is
-            a first guess; "guess": only the intrinsics are known, the camera is taken as level. Default: "camera"
-            where there is one.
+        floor: 2-D only. "camera" (where there is one): the camera's pose in the world is known and with it the floor;
+            "refine": it is a first guess; "guess": only the intrinsics are known, the camera is taken as level.
         size: width and height of the image in pixels, where no camera says.
 
     Raises:
@@ -250,9 +241,8 @@ def _as_body_25(keypoints: Tensor, confidence: Tensor, names: Sequence[str]) -> 
     """Values (B, T, 25, 2), weights (B, T, 25) in BODY_25's order, and which keypoints went unused."""
     known = [name for name in names if name in BODY_25]
     if not known:
-        raise DataError(
-            f"no keypoint of BODY_25 among {', '.join(names)}", remedy="rename them; see observation.BODY_25"
-        )
+        what = f"no keypoint of BODY_25 among {', '.join(names)}"
+        raise DataError(what, remedy="rename them; see observation.BODY_25")
     ours, theirs = [BODY_25.index(n) for n in known], [names.index(n) for n in known]
     values, weight = keypoints.new_zeros(*keypoints.shape[:2], 25, 2), keypoints.new_zeros(*keypoints.shape[:2], 25)
     values[..., ours, :], weight[..., ours] = keypoints[..., theirs, :], confidence[..., theirs].to(keypoints)

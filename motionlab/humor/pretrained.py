@@ -27,11 +27,8 @@ from motionlab.io.reading import checked_array, read_npz, reading
 
 #: The priors that ship: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of real motion.
 DEFAULT = "real"
-#: Suffixes of files that torch wrote: the official code's checkpoints, VPoser's snapshots.
-_TORCH = (".pth", ".pt", ".ckpt", ".tar")
-#: J_0, metres.
-Pelvis = tuple[float, float, float]
-#: Of VPoser 2.0.
+_TORCH = (".pth", ".pt", ".ckpt", ".tar")  # of the official code's checkpoints, VPoser's snapshots
+Pelvis = tuple[float, float, float]  # J_0, metres
 _VPOSER_2_SLOPES = (0.01, 1.0, 0.01)
 #: Names in VPoser's files of our layers. Between two linear layers of version 2 stands no activation: they become one.
 _NAMES_1 = {
@@ -50,23 +47,17 @@ _PARTS = {True: ("weight", "bias", "running_mean", "running_var"), False: ("weig
 
 @cache
 def load_priors(
-    name: str = DEFAULT,
-    *,
-    motion: Path | str | None = None,
-    pose: Path | str | None = None,
-    initial: Path | str | None = None,
-    pelvis: Pelvis | None = None,
-) -> Priors:
+    name: str = DEFAULT, *, motion: Path | str | None = None, pose: Path | str | None = None,
+    initial: Path | str | None = None, pelvis: Pelvis | None = None,
+) -> Priors:  # fmt: skip
     """Loads the priors that ship, ``humor_NAME``, ``pose_prior_NAME``, ``init_gmm_NAME``, or files instead.
 
     A file's suffix says whose it is: torch's (``_TORCH``) is an official HuMoR checkpoint or a VPoser snapshot, .npz
-    the official mixture, anything else a checkpoint of this project. Loaded once.
+    the official mixture, anything else a checkpoint of this project. A fit with official files poses our skeleton, not
+    SMPL's body. Loaded once.
 
-    Differs: a fit with official files poses our skeleton, not SMPL's body.
-
-    Args:
-        pelvis: J_0, metres: the pelvis from SMPL's translation, of the mean body that an official motion or initial
-            prior was trained with. Zeros where its ``trans`` was the pelvis.
+    pelvis: J_0, metres: the pelvis from SMPL's translation, of the mean body that an official motion or initial prior
+    was trained with. Zeros where its ``trans`` was the pelvis.
 
     Raises:
         DataError: a file is missing, damaged or of something else; an official one without ``pelvis``, or ``pelvis``
@@ -116,12 +107,12 @@ def _shift(pelvis: Pelvis) -> Tensor:
     return state.pack(parts)
 
 
+@torch.no_grad()
 def _at_pelvis(model: Cvae, pelvis: Pelvis) -> Cvae:
     """An official model, changed in place so that ``trans`` of its states is the pelvis."""
-    with torch.no_grad():
-        for net, states in ((model.encoder, 2), (model.prior_net, 1), (model.decoder, 1)):
-            first, k = net.net[0], _shift(pelvis).repeat(states)
-            first.bias += first.weight[:, : len(k)] @ k.to(first.weight)
+    for net, states in ((model.encoder, 2), (model.prior_net, 1), (model.decoder, 1)):
+        first, k = net.net[0], _shift(pelvis).repeat(states)
+        first.bias += first.weight[:, : len(k)] @ k.to(first.weight)
     return model
 
 
@@ -133,22 +124,14 @@ def _mixture_at_pelvis(mixture: InitGmm, pelvis: Pelvis) -> InitGmm:
 
 @cache
 def load_pose_prior(name: str = f"pose_prior_{DEFAULT}") -> PosePrior:
-    """Loads a pose prior of this project, by name or by path.
-
-    Raises:
-        DataError: no such checkpoint, damaged, or of something else.
-    """
+    """Loads a pose prior of this project, by name or by path; DataError: none, damaged, or of something else."""
     path = checkpoint.shipped(name)
     return filled(PosePrior(), checkpoint.load(path)[0], "not a pose prior", path, checkpoint.REMEDY)
 
 
 @cache
 def load_initial(name: str = f"init_gmm_{DEFAULT}") -> InitGmm:
-    """Loads a mixture over first states of this project, by name or by path.
-
-    Raises:
-        DataError: no such checkpoint, damaged, or of something else.
-    """
+    """Loads a mixture over first states of this project, by name or by path; DataError: none, damaged, or other."""
     path = checkpoint.shipped(name)
     tensors, _ = checkpoint.load(path)
     finite(tensors, path, checkpoint.REMEDY)
@@ -157,11 +140,7 @@ def load_initial(name: str = f"init_gmm_{DEFAULT}") -> InitGmm:
 
 @cache
 def load_motion_prior(name: str = f"humor_{DEFAULT}") -> Cvae:
-    """Loads a transition prior that ships (by name) or lies at a path, frozen; once.
-
-    Raises:
-        DataError: no such checkpoint, or damaged.
-    """
+    """Loads a transition prior of this project, by name or by path, frozen; once. DataError: none, or damaged."""
     path = checkpoint.shipped(name)
     return from_weights(checkpoint.load(path)[0], path, checkpoint.REMEDY)
 
@@ -184,12 +163,11 @@ def _official_mixture(path: Path | str) -> InitGmm:
 
 def _mixture_of(tensors: Mapping[str, Tensor], path: Path | str) -> InitGmm:
     """The mixture of arrays ``weights``, ``means``, ``covariances``; ``path`` is for the errors."""
-    names = ("weights", "means", "covariances")
     remedy = "take the official prior_gmm.npz, or a checkpoint of this project"
-    if missing := [name for name in names if name not in tensors]:
-        raise DataError(f"no {', '.join(missing)}", path=path, remedy=remedy)
     try:
-        gmm = InitGmm(*(tensors[name] for name in names))
+        gmm = InitGmm(*(tensors[name] for name in ("weights", "means", "covariances")))
+    except KeyError as error:
+        raise DataError(f"no {error.args[0]}", path=path, remedy=remedy) from error
     except (ShapeError, DataError) as error:
         raise DataError(f"no mixture of Gaussians: {error}", path=path, remedy=remedy) from error
     if gmm.means.shape[1] != FIRST_STATE_SIZE:

@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from motionlab import rotation
-from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.errors import DataError, check_shape
 from motionlab.humor import state as layout
 from motionlab.humor.cvae import Cvae, Gaussian
 
@@ -35,8 +35,7 @@ _WIDTH = 512
 #: Slopes below zero of VPoser 1.0's three activations: encoder's first and second, decoder's.
 VPOSER_SLOPES = (0.2, 0.2, 0.2)
 _FEATURES = ("joints", "joints_vel", "trans_vel", "root_orient_vel")
-#: Numbers of a first state that the mixture is over.
-FIRST_STATE_SIZE = sum(layout.SLICES[name].stop - layout.SLICES[name].start for name in _FEATURES)
+FIRST_STATE_SIZE = 138  # numbers of a first state that the mixture is over
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +49,8 @@ class Priors:
 
 # ------------------------------------------------------------------------------------------------------ over poses
 class PosePrior(nn.Module):
-    """Encoder and decoder of poses.
-
-    numbers: that describe a joint's rotation at the encoder's door: 6, or 3 for a rotation vector.
-    slopes: of the three activations below zero.
-    """
+    """Encoder and decoder of poses. numbers: of a joint's rotation at the encoder's door, 6, or 3 of a rotation vector.
+    slopes: of the three activations below zero."""
 
     def __init__(self, numbers: int = 6, slopes: tuple[float, float, float] = VPOSER_SLOPES) -> None:
         super().__init__()
@@ -115,27 +111,22 @@ class InitGmm:
             raise DataError("weights must be above zero and sum to 1", place="weights", remedy="fit the mixture again")
         symmetric = (covariances - covariances.mT).abs().max() <= 1e-4 * covariances.abs().max()
         if not symmetric or torch.linalg.cholesky_ex(covariances.double()).info.any():
-            raise DataError(
-                "a covariance is not symmetric and positive definite",
-                place="covariances",
-                remedy="add a little to its diagonal, or fit the mixture again",
-            )
+            remedy = "add a little to its diagonal, or fit the mixture again"
+            raise DataError("a covariance is not symmetric and positive definite", place="covariances", remedy=remedy)
 
     @cached_property
     def _white(self) -> tuple[Tensor, Tensor, Tensor]:
         """Rows that whiten, (K D, D), the means in these coordinates (K D,), and each component's constant (K,)."""
         weights, means, covariances = (x.double() for x in (self.weights, self.means, self.covariances))
         factor = torch.linalg.cholesky((covariances + covariances.mT) / 2)
-        unit = torch.eye(means.shape[1], dtype=torch.float64, device=factor.device).expand_as(factor)
-        rows = torch.linalg.solve_triangular(factor, unit, upper=False)
+        rows = torch.linalg.solve_triangular(factor, torch.eye(means.shape[1]).to(factor), upper=False)
         logdet = factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
         constant = (weights / weights.sum()).log() - logdet - 0.5 * means.shape[1] * math.log(2 * math.pi)
         return rows.flatten(0, 1), (rows @ means[..., None]).flatten(), constant
 
     def each(self, features: Tensor) -> Tensor:
         """Computes log(w_k N_k(features)) (..., K), nats, float64."""
-        if features.shape[-1] != self.means.shape[1]:
-            raise ShapeError(f"features: expected (..., {self.means.shape[1]}), got {tuple(features.shape)}")
+        check_shape(features, f"... {self.means.shape[1]}", "features")
         rows, shift, constant = (x.to(features.device) for x in self._white)
         white = (features.double() @ rows.mT - shift).unflatten(-1, self.means.shape)
         return constant - 0.5 * white.square().sum(-1)
@@ -146,9 +137,8 @@ class InitGmm:
         ``each`` is c_k - 1/2 |W_k (features - m_k)|^2; float64.
         """
         rows, shift, constant = (x.to(features.device) for x in self._white)
-        sizes = self.means.shape
-        off = (features.double() @ rows.mT - shift).unflatten(-1, sizes)
-        return off, (rows @ slopes.double()).unflatten(1, sizes), constant
+        off = (features.double() @ rows.mT - shift).unflatten(-1, self.means.shape)
+        return off, (rows @ slopes.double()).unflatten(1, self.means.shape), constant
 
     def log_prob(self, features: Tensor) -> Tensor:
         """Computes log p(features) (...), nats; inside in float64."""

@@ -14,13 +14,10 @@ from motionlab.humor.state import apply, bone_lengths, globalise, heading, local
 from motionlab.metrics.gait import contact_scores
 from motionlab.metrics.pose import masked_mean, mean_acceleration
 from motionlab.motion import FPS
-from motionlab.skeleton import STANDARD
+from motionlab.skeleton import BALLS, STANDARD
 
-#: A dimension of the latent is active where it costs more than this on average, nats.
-ACTIVE_NATS = 0.05
+ACTIVE_NATS = 0.05  # a dimension of the latent is active where it costs more than this on average
 _SAMPLES = 8
-#: A foot is down where its ball is less than this above its resting height, metres.
-_DOWN = 0.03
 
 
 def _error(a: Tensor, b: Tensor) -> Tensor:
@@ -74,17 +71,16 @@ def rollout_errors(model: Cvae, states: Tensor) -> dict[str, Tensor]:
 def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
     """What motions look like that go on from first states (W, 339) with world states (W, T, 339), one number each (W,).
 
-    All of it is measured from the joints, none from what a model says of its contacts; a foot is down where its ball is
-    lower than 3 cm above where it rests. slide: mm per frame over the floor of balls that are down in both frames, NaN
-    where none is; a foot that swings close to the floor counts as well, so compare with data. feet up: share of frames
-    with no foot down. penetration: share of frames with a ball more than 2 cm below where it rests. sunk: 1 where the
-    head ends below 30 cm or any joint 30 cm below the floor. acceleration: m/s^2. bones: mean change of the bone
-    lengths, per cent of their mean.
+    Measured from the joints; a foot is down where its ball is lower than 3 cm above where it rests. slide: mm per frame
+    over the floor of balls that are down in both frames, NaN where none is (feet that swing close to it count, so
+    compare with data). feet up: share of frames with no foot down. penetration: share with a ball more than 2 cm below
+    where it rests. sunk: 1 where the head ends below 30 cm or any joint 30 cm below the floor. acceleration: m/s^2.
+    bones: mean change of the bone lengths, per cent of their mean.
     """
     joints = unpack(states)["joints"]
-    balls = joints[:, :, STANDARD.indices(["left_foot", "right_foot"])]
+    balls = joints[:, :, STANDARD.indices(BALLS)]
     above = balls[..., 2] - STANDARD.sole
-    down = above < _DOWN
+    down = above < 0.03
     speed = 1000 * balls[..., :2].diff(dim=1).norm(dim=-1)
     length, before = bone_lengths(states), bone_lengths(first)[:, None]
     end = joints[:, -1, :, 2]
@@ -128,11 +124,8 @@ def best_of(model: Cvae, states: Tensor, count: int, generator: torch.Generator)
 
 @torch.no_grad()
 def effective_rank(model: Cvae, past: Tensor) -> float:
-    """Computes in how many directions z moves the next joints: the exponential of the entropy of the singular values of
-    d joints / d z, z in deviations of the prior about its mean; mean over past states (N, 339).
-
-    Source: Roy and Vetterli 2007, "The effective rank".
-    """
+    """Computes in how many directions z moves the next joints: the effective rank (Roy and Vetterli 2007) of d joints /
+    d z, z in deviations of the prior about its mean; mean over past states (N, 339)."""
     prior, step = model.prior(past), 0.1
     off = step * torch.diag_embed((0.5 * prior.log_var).exp())  # (N, 48, 48): a deviation along each axis
 
@@ -141,17 +134,15 @@ def effective_rank(model: Cvae, past: Tensor) -> float:
         return unpack(apply(x, model.decode(x, z))[0])["joints"].flatten(2)
 
     slope = joints(prior.mean[:, None] + off) - joints(prior.mean[:, None] - off)
-    shares = torch.linalg.svdvals(slope)
-    shares = shares / shares.sum(-1, keepdim=True)
-    return float(torch.special.entr(shares).sum(-1).exp().mean())
+    values = torch.linalg.svdvals(slope)
+    return float(torch.special.entr(values / values.sum(-1, keepdim=True)).sum(-1).exp().mean())
 
 
 def quality_row(model: Cvae, states: Tensor, contacts: Tensor | None = None, seed: int = 0) -> dict[str, float]:
     """Computes one row of the quality table from world states (W, 61, 339): means over windows.
 
-    The best of 8 samples is of 48 windows at most, the effective rank of as many states.
-
-    Rows that start with "samples' " are :func:`_looks` of samples, those with "data's " of the windows themselves.
+    The best of 8 samples is of 48 windows at most, the effective rank of as many states. "samples' ": how samples look,
+    "data's ": the windows themselves.
     """
     step, way = one_step_errors(model, states), rollout_errors(model, states)
     made = plausibility(model, states[:, 0], states.shape[1] - 1, torch.Generator().manual_seed(seed))

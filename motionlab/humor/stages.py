@@ -35,7 +35,6 @@ class Problem:
     """What does not change while a fit looks for its unknowns.
 
     evidence: of B = G W rows. starts (W,): first frame of each window in its recording. mode: "lean" or "official".
-    parametrisation: turns unknowns into bodies.
     """
 
     evidence: Evidence
@@ -67,9 +66,7 @@ def pose_terms(problem: Problem, unknown: Unknowns, stage: int) -> Terms:
 def motion_terms(problem: Problem, unknown: Unknowns, *, grown: bool = True, contacts: bool = True) -> Terms:
     """Computes the weighted terms (G,) of stage 3 by name, over as many frames as z has transitions, and one.
 
-    Args:
-        grown: the first state's weight times frames / 15, as from the second sub-stage on.
-        contacts: with the contact terms.
+    grown: the first state's weight times frames / 15, as from the second sub-stage on. contacts: with those terms.
     """
     evidence = problem.evidence.first_frames(unknown.z.shape[2] + 1)
     rolled = problem.parametrisation.roll(unknown, problem.priors, evidence)
@@ -100,8 +97,7 @@ def rolled_terms(
     if evidence.view is not None and evidence.view.free:
         still = torch.zeros_like(body.camera)
         terms["floor_reg"] = energies.floor_reg(evidence.view.floor(body.camera), evidence.view.floor(still), frames)
-    weight = problem.weights.of(3, frames=frames if grown else None)
-    found = _weighted(terms, weight, unknown)
+    found = _weighted(terms, problem.weights.of(3, frames=frames if grown else None), unknown)
     if len(problem.starts) > 1 and grown:
         together = _OVERLAP * problem.weights.joint_consistency[2]
         found["overlap"] = together * _overlap(body.joints, problem.starts)
@@ -148,8 +144,7 @@ def stage_3(
 ) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
     """Runs stage 3: the first ``short`` frames; then all, x0 frozen and without contact terms; then everything.
 
-    factors: of ``start.start_stage_3``; without them the search is in the unknowns as they are.
-    refine: the steps at which the second and the third sub-stage begin.
+    factors: of ``start.start_stage_3``, or None. refine: the steps at which the second and third sub-stage begin.
     """
     camera = ("camera",) if unknown.camera is not None and problem.evidence.view.free else ()
     everything = (*FIRST, "z", "betas", *camera)
@@ -181,17 +176,11 @@ def _search(
     back: Back = lambda new, rows: Unknowns(**new), *, steps: int, inner: int, tolerance: float = 0.0,
     progress: bool | str = False, watch: Callable[[Terms], None] | None = None,
 ) -> tuple[Unknowns, BatchFit]:  # fmt: skip
-    """Lowers the sum of some terms by moving some of the numbers of ``start``, each recording for itself.
+    """All unknowns where the sum of some terms is lowest, and the optimiser's report; each recording for itself.
 
-    A recording that is done costs nothing more.
-
-    Args:
-        start: tensors (G, ...) by name. back: from such tensors to the unknowns that the terms are functions of.
-        tolerance: share of its own first energy that a recording must gain in an iteration, whatever others do.
-        watch: called with the terms of every evaluation.
-
-    Returns:
-        all unknowns at the lowest point, and the optimiser's report.
+    start: tensors (G, ...) by name, of which ``moving`` move. back: from such tensors to the unknowns that the terms
+    are functions of. tolerance: share of its own first energy that a recording must gain in an iteration. watch: called
+    with the terms of every evaluation.
     """
     point = {n: x.detach().clone().requires_grad_(n in moving and x.numel() > 0) for n, x in start.items()}
     every = torch.arange(len(next(iter(point.values()))))
@@ -219,9 +208,8 @@ def interrupted(fit) -> bool:
 #
 #     H_k = H_d + 4 sin^2(pi k / 2T) H_s + H_p = L_k L_k^T,      x = x_0 + C^T (L_k^-T u_k)
 #
-# with H_p of the priors, C the orthonormal transform and u the new unknowns. H_d and H_s are means over a few frames,
-# by finite differences at the start. Stage 3 has a factor for every latent (``start.start_stage_3``), and the other
-# unknowns have the lengths over which they matter. The minimum stays what it was.
+# with H_p of the priors, C the orthonormal transform and u the new unknowns. Stage 3 has a factor for every latent
+# (``start.start_stage_3``), and the other unknowns have the lengths over which they matter.
 _OF_FRAMES = ("trans", "orient", "latent")
 _SAMPLES, _STEP, _RIDGE = 8, 1e-3, 1e-3
 #: Square metres, summed over the joints of a frame, that a unit of each unknown of stage 3 moves; orders of magnitude.
@@ -236,8 +224,7 @@ def preconditioned_motion(
     unknown: Unknowns, moving: tuple[str, ...], factors: Tensor
 ) -> tuple[dict[str, Tensor], Back]:
     """Computes what :func:`_preconditioned` does, for stage 3; factors (G, W, L - 1 or more, 48, 48)."""
-    frames = unknown.z.shape[2] + 1
-    factors = factors[:, :, : frames - 1]
+    frames, named = unknown.z.shape[2] + 1, unknown.named()
     scale = {n: (reach * frames) ** -0.5 for n, reach in _REACH.items()}
     scale["camera"] = (frames * unknown.trans.new_tensor(_REACH_CAMERA)).rsqrt()
 
@@ -245,10 +232,9 @@ def preconditioned_motion(
         start = unknown.rows(rows)
         found = {n: getattr(start, n) + scale[n] * x for n, x in new.items() if n != "z"}
         if "z" in new:
-            found["z"] = start.z + (factors[rows] @ new["z"][..., None])[..., 0]
+            found["z"] = start.z + (factors[rows, :, : frames - 1] @ new["z"][..., None])[..., 0]
         return replace(start, **found)
 
-    named = unknown.named()
     return {n: torch.zeros_like(named[n]) for n in moving if named[n].numel()}, back
 
 
@@ -268,8 +254,7 @@ def _preconditioned(
     diagonal = h.diagonal(dim1=-2, dim2=-1)
     ridge = _RIDGE * diagonal + prior + 1e-6 + _RIDGE * diagonal.mean(-1, keepdim=True)
     factor = torch.linalg.cholesky((h + torch.diag_embed(ridge)).double())
-    unit = torch.eye(factor.shape[-1], dtype=factor.dtype, device=factor.device)
-    inverse = torch.linalg.solve_triangular(factor.mT, unit.expand_as(factor), upper=True).to(data)
+    inverse = torch.linalg.solve_triangular(factor.mT, torch.eye(sum(sizes)).to(factor), upper=True).to(data)
     cosine = cosine_transform(frames, torch.float32).to(data)
     scale = (frames * (shape + 2 * weights.get("shape_prior", 0.0)) + 1e-3).rsqrt()
 

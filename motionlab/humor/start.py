@@ -12,8 +12,7 @@ by two Gauss-Newton steps from the posterior's mean. What one step misses the ne
 not drift away as that of the official code does (thesis 3.3.3, Fig. 3.10). W is in square metres: joints count as they
 are, rotations with a lever of 0.3 m, velocities over one frame; what was not observed counts little.
 
-Source: the official fitting code of HuMoR (Rempe et al. 2021), as described in its issues and read from its behaviour:
-:func:`start_facing`, and in official mode velocities by finite differences and the posterior's mean.
+Source: the official fitting code of HuMoR (Rempe et al. 2021), as described in its issues and read from its behaviour.
 Differs: the official code starts every 3-D clip at identity, and a video at one orientation and one depth (from bones
 counted as zero where they were not detected). Unseen frames stay there; here they are interpolated.
 """
@@ -28,7 +27,7 @@ from motionlab import rotation
 from motionlab.baselines import interpolate
 from motionlab.humor import state, unknowns
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.evidence import Evidence, View
+from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import infer
 from motionlab.humor.unknowns import Unknowns, from_matrix
@@ -47,17 +46,15 @@ _PAIRS = (("neck", "mid_hip"), ("neck", "nose"), *_SIDED, *_OTHER_SIDE)
 _BONES = [tuple(map(BODY_25.index, pair)) for pair in _PAIRS]
 #: An upright body that looks into the camera, whose axes are right, down and forward: the rotation vector (pi, 0, 0).
 _FACING = torch.diag(torch.tensor([1.0, -1.0, -1.0]))
-#: The rigid part of the body, for the 3-D start; the limbs count little, as they move.
+#: The rigid part of the body, for the 3-D start: limbs count little, as they move.
 _TORSO = STANDARD.indices(
     ["pelvis", "left_hip", "right_hip", "spine1", "spine2", "spine3", "neck", "left_collar", "right_collar"]
 )
 _LIMB_WEIGHT = 0.02
 _MIN_SPREAD = 0.02  # metres: the second principal spread below which visible points give no orientation
-_ITERATIONS, _STEP = 2, 1e-2
-#: Of the prior's weight while following. Little, since a miss now is a miss in all frames to come; with more of it what
-#: was not seen moves more as the prior would. Fits by ``shooting`` begin with both.
+_STEP = 1e-2
+#: Of the prior's weight while following: little, since a miss now is a miss in all frames to come.
 DAMPING_ROLLOUT, DAMPING_SHOOTING = 0.02, 0.3
-_LASTING = 1.0  # p
 _LEG = ("hip", "knee", "ankle", "foot")
 SITTING_LEGS = STANDARD.indices([f"{side}_{part}" for side in ("left", "right") for part in _LEG])
 _SITTING = (math.radians(85), math.radians(25))  # of who sits: how far the legs bend, and each thigh points outwards
@@ -97,17 +94,13 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     orientations (16 headings; upright, leaning 50 degrees each way, lying each way) the sequence with the least
     reprojection error and turning is found over time (Viterbi): the person does not flip from frame to frame.
 
-    A few keypoints close together leave the depth open: there the start may jump, and stage 1 has to undo that.
-
     rest (25, 3): landmarks of the mean pose, root at the origin, its orientation identity.
 
     Returns:
         trans (B, T, 3), orientation (B, T, 3, 3), and which frames (B, T) had enough to see, 4 keypoints.
     """
-    view = evidence.view
-    poses, upright_cost = _orientations()
-    poses, upright_cost = poses.to(rest), upright_cost.to(rest)
-    trans, cost = _place(evidence, view, poses, rest)  # (B, T, N, 3), (B, T, N)
+    poses, upright_cost = (each.to(rest) for each in _orientations())
+    trans, cost = _place(evidence, poses, rest)  # (B, T, N, 3), (B, T, N)
     enough = (evidence.weight > 0).sum(-1) >= 4
     cost = torch.where(enough[..., None], cost + upright_cost, 0.0)
     path = _viterbi(cost, rotation.geodesic(poses[:, None], poses[None]).square())
@@ -159,9 +152,10 @@ def _orientations() -> tuple[Tensor, Tensor]:
     return turns.flatten(0, 1), torch.tensor([0.0, *(4 * [1.0]), *(4 * [1.5])]).repeat(16) * 0.02
 
 
-def _place(evidence: Evidence, view: View, poses: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
+def _place(evidence: Evidence, poses: Tensor, rest: Tensor) -> tuple[Tensor, Tensor]:
     """Best world positions (B, T, N, 3) of N orientations, and their robust reprojection errors (B, T, N). Errors are
     in units of the person's apparent size, weighted by confidence."""
+    view = evidence.view
     k = view.intrinsics[:, None, None]
     plane = (evidence.values - k[..., :2, 2]) / torch.stack((k[..., 0, 0], k[..., 1, 1]), -1)  # (B, T, K, 2)
     weight = evidence.weight.square()
@@ -221,10 +215,9 @@ def start_stage_3(
 ) -> tuple[Unknowns, Tensor | None]:  # fmt: skip
     """Computes the unknowns of stage 3 from stage 2's motion, in windows; in lean mode also factors of z.
 
-    Factors (G, W, L - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u.
-
-    A factor is L^-T of (L - t)^p H_t + w diag(1 / sigma^2) = L L^T, with H_t the Gauss-Newton matrix of one way. What
-    z_t does to the frame after it stays done in all that follow, hence the first factor.
+    Factors (G, W, L - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u: L^-T of
+    (L - t) H_t + w diag(1 / sigma^2) = L L^T, with H_t the Gauss-Newton matrix of one way, as what z_t does to the
+    frame after it stays done in all that follow.
 
     Args:
         motion (G, T): of stage 2. latent (G, T, 32): its pose latents. shared: its betas, camera.
@@ -249,11 +242,10 @@ def start_stage_3(
 
 
 def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> tuple[Tensor, Tensor, Tensor]:
-    """z (B, T - 1, 48) of a roll-out from the first of states (B, T, 339) that is steered to follow them.
+    """z (B, T - 1, 48) of a roll-out from the first of states (B, T, 339) that is steered to follow them, the
+    Gauss-Newton matrices (B, T - 1, 48, 48) of the ways, and the prior's 1 / sigma^2 (B, T - 1, 48).
 
-    confidence (B, T, 22): of each joint of stage 2; where it is 0, z is the prior's mean. weight: w
-    above. Also the Gauss-Newton matrices (B, T - 1, 48, 48) of the ways, and the prior's 1 / sigma^2 (B, T - 1, 48).
-    """
+    confidence (B, T, 22): of each joint of stage 2; where it is 0, z is the prior's mean. weight: w above."""
     now, found, curvature, precision = states[:, 0], [], [], []
     for aim, share in zip(states[:, 1:].unbind(1), confidence[:, 1:].unbind(1), strict=True):
         frame = state.heading(now)
@@ -261,7 +253,7 @@ def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> t
         prior, z = model.prior(past), model.posterior(past, aim).mean
         sharp = (-prior.log_var).exp().clamp(max=1e4)
         root = _importance(share).sqrt()
-        for _ in range(_ITERATIONS):
+        for _ in range(2):
             miss, slope = _linearised(model, past, z, aim, root)
             gauss_newton = slope @ slope.mT
             pull = (slope @ miss[..., None])[..., 0] + weight * sharp * (z - prior.mean)
@@ -272,11 +264,10 @@ def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> t
 
 
 def _factors(curvature: Tensor, sharp: Tensor, weight: float) -> Tensor:
-    left = torch.arange(curvature.shape[1], 0, -1).to(sharp) ** _LASTING
+    left = torch.arange(curvature.shape[1], 0, -1).to(sharp)
     whole = left[:, None, None] * curvature + torch.diag_embed(weight * sharp + 1e-6)
     factor = torch.linalg.cholesky(whole.double())
-    unit = torch.eye(whole.shape[-1], dtype=factor.dtype, device=factor.device).expand_as(factor)
-    return torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(sharp)
+    return torch.linalg.solve_triangular(factor.mT, torch.eye(whole.shape[-1]).to(factor), upper=True).to(sharp)
 
 
 def _linearised(model: Cvae, past: Tensor, z: Tensor, aim: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
@@ -290,15 +281,10 @@ def _linearised(model: Cvae, past: Tensor, z: Tensor, aim: Tensor, root: Tensor)
 
 def _importance(confidence: Tensor) -> Tensor:
     """W (B, 339) from how much each joint (B, 22) is believed."""
-    whole = confidence.mean(-1, keepdim=True)
-    child = torch.stack([confidence[:, _CHILD[j]] for j in range(1, 22)], 1)
+    whole, child = confidence.mean(-1, keepdim=True), confidence[:, _CHILD[1:]]
     parts = {
-        "trans": whole.expand(-1, 3),
-        "trans_vel": (whole / FPS**2).expand(-1, 3),
-        "root_orient": (_LEVER * whole).expand(-1, 9),
-        "root_orient_vel": (_LEVER * whole / FPS**2).expand(-1, 3),
-        "pose_body": (_LEVER * child).repeat_interleave(9, 1),
-        "joints": confidence.repeat_interleave(3, 1),
-        "joints_vel": confidence.repeat_interleave(3, 1) / FPS**2,
-    }
-    return torch.cat([parts[name] for name in state.SHAPES], 1)
+        "trans": whole, "trans_vel": whole / FPS**2, "root_orient": _LEVER * whole, "pose_body": _LEVER * child,
+        "root_orient_vel": _LEVER * whole / FPS**2, "joints": confidence, "joints_vel": confidence / FPS**2,
+    }  # fmt: skip
+    sizes = {name: torch.Size(shape).numel() // parts[name].shape[1] for name, shape in state.SHAPES.items()}
+    return torch.cat([parts[name].repeat_interleave(size, 1) for name, size in sizes.items()], 1)

@@ -5,8 +5,7 @@
 Metres, seconds, radians; world z up, floor at z = 0. ``joints`` are the network's own idea of where the joints are,
 kept beside the pose that implies them. Rotations stand transposed, row by row. So the first 141 numbers are what a
 transition adds to, the last 198 are the 22 matrices that it turns, and the first 150 are the 50 vectors that a new
-heading turns. This is the only order inside the library: official weights are put into it once, where they are read
-(``cvae.from_weights``).
+heading turns. Official weights are put into this order where they are read (``cvae.from_weights``).
 
 Source: HuMoR (Rempe et al. 2021), section 3; thesis 3.1.1.
 Differs: the official order is trans, trans_vel, root_orient, root_orient_vel, pose_body, joints, joints_vel, matrices
@@ -27,8 +26,8 @@ from motionlab.heading import Frame, heading_frame
 from motionlab.motion import FPS, Motion, backward_velocity, velocity
 from motionlab.skeleton import STANDARD, Skeleton
 
-JOINT_COUNT, CONTACTS = 22, 9
-#: The parts of a state in their order, and their shapes.
+CONTACTS = 9
+#: Shapes of the parts of a state in their order.
 SHAPES = {
     "trans": (3,), "trans_vel": (3,), "root_orient_vel": (3,), "joints": (22, 3), "joints_vel": (22, 3),
     "root_orient": (3, 3), "pose_body": (21, 3, 3),
@@ -53,30 +52,18 @@ _OFFICIAL = ("trans", "trans_vel", "root_orient", "root_orient_vel", "pose_body"
 OFFICIAL_SLICES = _slices({name: SHAPES[name] for name in _OFFICIAL})
 
 
-def _order() -> tuple[Tensor, Tensor]:
-    """Where each of our numbers stands in an official state (339,) and in an official raw output (216,)."""
-    states, raw = torch.arange(STATE), torch.arange(DELTA)
-    whole = {name: states[part].unflatten(0, SHAPES[name]) for name, part in OFFICIAL_SLICES.items()}
-    order = [whole[n].mT if n in TURNED else whole[n] for n in SHAPES]
-    official_raw = _slices({name: DELTA_SHAPES[name] for name in (*_OFFICIAL, "contacts")})
-    return torch.cat([x.flatten() for x in order]), torch.cat([raw[official_raw[n]] for n in DELTA_SHAPES])
-
-
+_OFFICIAL_RAW = _slices({name: DELTA_SHAPES[name] for name in (*_OFFICIAL, "contacts")})
+_at = {name: torch.arange(STATE)[part].unflatten(0, SHAPES[name]) for name, part in OFFICIAL_SLICES.items()}
 #: Official states ``x[..., OFFICIAL_ORDER]`` and raw outputs ``raw[..., OFFICIAL_DELTA_ORDER]`` are ours; by the
 #: ``argsort`` of these ours are official.
-OFFICIAL_ORDER, OFFICIAL_DELTA_ORDER = _order()
-
-
-def _onward() -> Tensor:
-    matrix = torch.zeros(DELTA, STATE)
-    for name in ("trans", "root_orient", "joints"):
-        speed = SLICES[f"{name}_vel"]
-        matrix[DELTA_SLICES[name], speed] = torch.eye(speed.stop - speed.start) / FPS
-    return matrix
+OFFICIAL_ORDER = torch.cat([(_at[n].mT if n in TURNED else _at[n]).flatten() for n in SHAPES])
+OFFICIAL_DELTA_ORDER = torch.cat([torch.arange(DELTA)[_OFFICIAL_RAW[n]] for n in DELTA_SHAPES])
 
 
 #: (216, 339): takes a state to the raw changes of a body that goes on at its velocity for one frame.
-ONWARD = _onward()
+ONWARD = torch.zeros(DELTA, STATE)
+for _name in ("trans", "root_orient", "joints"):
+    ONWARD[DELTA_SLICES[_name], SLICES[f"{_name}_vel"]] = torch.eye(torch.Size(DELTA_SHAPES[_name]).numel()) / FPS
 
 
 def unpack(state: Tensor) -> dict[str, Tensor]:
@@ -90,8 +77,8 @@ def pack(parts: Mapping[str, Tensor]) -> Tensor:
     """Computes states (..., 339) from their parts; rotations as they are, not transposed."""
     for name, shape in SHAPES.items():
         check_shape(parts[name], "... " + " ".join(map(str, shape)), name)
-    turned = {name: parts[name].mT for name in TURNED}
-    return torch.cat([{**parts, **turned}[name].flatten(-len(shape)) for name, shape in SHAPES.items()], dim=-1)
+    upright = {**parts, **{name: parts[name].mT for name in TURNED}}
+    return torch.cat([upright[name].flatten(-len(shape)) for name, shape in SHAPES.items()], dim=-1)
 
 
 def unpack_delta(raw: Tensor) -> dict[str, Tensor]:
@@ -104,12 +91,11 @@ def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
     """Computes world states (..., T, 339) from a motion on the 22 joints.
 
     Velocities by central differences, as in HuMoR's states: they know the next frame. causal: by backward differences,
-    which know the past only; the first frame has those of the second. Root angular velocity: the vector of dR/dt R^T,
-    world axes.
+    which know the past only; the first frame has those of the second.
     """
     rate = backward_velocity if causal else velocity
     positions, _ = motion.world
-    check_shape(positions, f"... {JOINT_COUNT} 3", "joints")
+    check_shape(positions, "... 22 3", "joints")
     root = motion.rot[..., 0, :, :]
     return pack({
         "trans": motion.root, "trans_vel": rate(motion.root, motion.fps, dim=-2),
@@ -121,11 +107,9 @@ def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
 
 
 def _turning(orientation: Tensor, fps: float) -> Tensor:
-    """The vector of R_t R_{t-1}^T, rad/s (..., T, 3); the first is the second's."""
+    """The vector of R_t R_{t-1}^T, rad/s (..., T, 3); the first is the second's, of one frame 0."""
     turn = rotation.log(orientation[..., 1:, :, :] @ orientation[..., :-1, :, :].mT) * fps
-    if not turn.shape[-2]:
-        return torch.zeros_like(orientation[..., 0])
-    return torch.cat((turn[..., :1, :], turn), -2)
+    return torch.cat((turn[..., :1, :], turn), -2) if turn.shape[-2] else torch.zeros_like(orientation[..., 0])
 
 
 def angular_velocity(orientation: Tensor, fps: float) -> Tensor:
@@ -187,12 +171,10 @@ def bone_lengths(state: Tensor) -> Tensor:
 def with_bone_lengths(state: Tensor, lengths: Tensor) -> Tensor:
     """Computes states (..., 339) whose bones point as they did and have these lengths (..., 21), the pelvis in its
     place; nothing but the joints changes. What a network adds to joints, frame by frame, does not keep bones long."""
-    bones = _bones(state)
+    bones, own = _bones(state), SLICES["joints"]
     bones = bones * (lengths / bones.norm(dim=-1).clamp(min=1e-6))[..., None]
-    joints = state[..., SLICES["joints"]].unflatten(-1, SHAPES["joints"])
-    made = joints[..., :1, :] + _PATHS.to(bones) @ bones
-    parts = [state[..., part] if name != "joints" else made.flatten(-2) for name, part in SLICES.items()]
-    return torch.cat(parts, -1)
+    made = state[..., None, own.start : own.start + 3] + _PATHS.to(bones) @ bones
+    return torch.cat((state[..., : own.start], made.flatten(-2), state[..., own.stop :]), -1)
 
 
 def _bones(state: Tensor) -> Tensor:
@@ -210,6 +192,5 @@ def apply(state: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
     Additive, but for rotations: R' = exp(delta) R, multiplied from the left.
     """
     parts, delta = unpack(state), unpack_delta(raw)
-    turn = {"root_orient", "pose_body"}
-    after = {n: rotation.exp(delta[n]) @ parts[n] if n in turn else parts[n] + delta[n] for n in SHAPES}
+    after = {n: rotation.exp(delta[n]) @ parts[n] if n in TURNED else parts[n] + delta[n] for n in SHAPES}
     return pack(after), delta["contacts"]

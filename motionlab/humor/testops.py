@@ -5,11 +5,10 @@
 3. a first state and latents whose roll-out by the motion prior explains the observation.
 
 Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2.
-Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; stages 1 and 2 see a
-recording whole, only stage 3 cuts it into windows; the start is found in closed form and interpolated where nothing
-was seen; stage 1 is smooth; transitions of which nothing was seen start at the prior's mean. "official" mode has the
-official code's unknowns, start of a video and missing masks, evaluated as cheaply as the lean one. Stage 3 has two
-solvers: "rollout", the original sub-stages, and in lean mode "shooting", the same energy at a fraction of the time.
+Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; only stage 3 cuts a
+recording into windows; the start is found in closed form and interpolated where nothing was seen; stage 1 is smooth;
+transitions of which nothing was seen start at the prior's mean. "official" mode has the official code's unknowns, start
+and missing masks. Stage 3 has two solvers: "rollout", the original sub-stages, and in lean mode the faster "shooting".
 """
 
 from __future__ import annotations
@@ -42,14 +41,13 @@ SOLVERS = ("rollout", "shooting")
 _WEIGHED = 4  # rounds after which a start that sits is judged: after 2, some that stood up sat to the end
 _NAMES = ("stage 1 of 3: where they are", "stage 2 of 3: pose and size", "stage 3 of 3: motion")
 _WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
-#: From here on a fit is doubtful. On practice clips, of moves that the prior has seen, latent_chi2 was 0.05 to
-#: 0.47 and misfit 6 to 13 pixels of 1280, or 7 cm where every joint had N(0, 4 cm) of noise.
+#: From here on a fit is doubtful. On practice clips latent_chi2 was below 0.47 and misfit 13 pixels of 1280, or 7 cm.
 MAX_LATENT_CHI2, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How much work a fit does, and how a recording is cut.
+    """How much work a fit does, and how a recording is cut. Source: the official configurations.
 
     steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
     sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
@@ -58,8 +56,6 @@ class Schedule:
     work of that solver in stage 3, instead of short, refine, window and the third number of steps (which, at 0, still
     leaves stage 3 out). guesses: begin stage 3 with the floor below stage 2's feet, where its height is not known; and
     where no foot was seen let shooting try a second start, which sits.
-
-    Source: the official configurations.
     """
 
     steps: tuple[int, int, int] = (30, 70, 70)
@@ -97,8 +93,8 @@ class FitDiagnostics:
     """How well a fit of stage 3 agrees with the prior and with what was seen, per clip (B,).
 
     latent_chi2: mean square of (z - mu) / sigma over transitions and latents: 1 for motion drawn from the prior, less
-    for motion like that of its training, which its latents overfit; large where a motion is not one that it would make.
-    misfit: root mean square distance of what was seen, metres or pixels; from ``bound`` on it is doubtful.
+    for motion like that of its training, large where a motion is not one that it would make. misfit: root mean square
+    distance of what was seen, metres or pixels; above ``bound`` it is doubtful.
     """
 
     latent_chi2: Tensor
@@ -114,12 +110,10 @@ class FitDiagnostics:
     def sentences(self) -> tuple[str, ...]:
         """Returns a sentence for every clip that is doubtful."""
         unit = "{:.0f} px" if self.pixels else "{:.2f} m"
-        rows = zip(self.latent_chi2.tolist(), self.misfit.tolist(), self.doubtful.tolist(), strict=True)
         return tuple(
-            f"stage 3 doubts clip {k}: latent chi2 {latent_chi2:.2f} (up to {MAX_LATENT_CHI2:g} is usual), what was "
-            f"seen is missed by {unit.format(misfit)}"
-            for k, (latent_chi2, misfit, doubtful) in enumerate(rows)
-            if doubtful
+            f"stage 3 doubts clip {k}: latent chi2 {self.latent_chi2[k]:.2f} (up to {MAX_LATENT_CHI2:g} is usual), "
+            f"what was seen is missed by {unit.format(self.misfit[k])}"
+            for k in self.doubtful.nonzero()[:, 0].tolist()
         )
 
 
@@ -127,15 +121,13 @@ class FitDiagnostics:
 class Fitted:
     """What a fit found; G recordings of T frames, world coordinates.
 
-    motion (G, T): of the last stage, each on its own skeleton, with contact labels, and a body in every frame, seen or
-    not (the observation says which). stages: after stage 1, 2, 3.
+    motion (G, T): of the last stage, each on its own skeleton, with contact labels. stages: after stage 1, 2, 3.
     contacts (G, T, 9): probabilities, in the order of ``STANDARD.contact_names``; zeros where no stage 3 ran.
-    z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts`` (one
-    window where T is no more than ``Schedule.window``). betas (G, 8): shape in standard deviations.
-    cameras: one per recording, as found; None for 3-D observations. energies: per stage, each term weighted, (G,).
-    results: the optimiser's report of each stage; of stage 3 one per sub-stage or round. notes: what was assumed, left
-    out or is doubtful. diagnostics: of stage 3's windows (G W,); None where none ran. problem, unknown: what
-    shooting minimised, and where it ended (``posterior``); None after the other solver.
+    z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts``. betas
+    (G, 8): shape in standard deviations. cameras: one per recording, as found; None for 3-D observations. energies: per
+    stage, each term weighted, (G,). results: the optimiser's reports of each stage. notes: what was assumed, left out
+    or is doubtful. diagnostics: of stage 3's windows (G W,), or None. problem, unknown: what shooting minimised, and
+    where it ended (``posterior``); None after the other solver.
     """
 
     motion: Motion
@@ -164,40 +156,28 @@ def _stopped(results: dict[int, list[object]]) -> bool:
 
 
 def fit(
-    observation: Observation2D | Observation3D,
-    priors: Priors,
-    *,
-    weights: Weights | None = None,
-    schedule: Schedule | None = None,
-    mode: str = "lean",
-    parametrisation: Parametrisation = unknowns.LEAN,
-    solver: str = "rollout",
-    cameras: Sequence[Camera] | None = None,
-    floor: str | None = None,
-    size: tuple[int, int] | None = None,
-    progress: bool | str = False,
+    observation: Observation2D | Observation3D, priors: Priors, *, weights: Weights | None = None,
+    schedule: Schedule | None = None, mode: str = "lean", parametrisation: Parametrisation = unknowns.LEAN,
+    solver: str = "rollout", cameras: Sequence[Camera] | None = None, floor: str | None = None,
+    size: tuple[int, int] | None = None, progress: bool | str = False,
     watch: Callable[[int, dict[str, Tensor]], None] | None = None,
-) -> Fitted:
+) -> Fitted:  # fmt: skip
     """Fits every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
     the cameras have to be, too.
 
-    What was not seen has no weight. Unseen joints: the priors decide. Unseen frames, also after somebody has left the
-    image: the start is interpolated and held at the ends (of keypoints, in lean mode alone); smoothness and the motion
-    prior decide from there. Where no frame shows 3 joints that give an orientation, or 4 keypoints, the start stands
-    upright at the origin (same exception), and goes on in stage 3 as the prior would if nothing at all was seen.
+    What was not seen has no weight. Unseen joints: the priors decide. Unseen frames: the start is interpolated and held
+    at the ends (of keypoints, in lean mode alone); smoothness and the motion prior decide from there. Where no frame
+    shows 3 joints that give an orientation, or 4 keypoints, the start stands upright at the origin (same exception).
     One frame has no stage 3, and a note says so.
 
     Args:
         observation: keypoints (G, T, K, 2) seen by one static camera each, or joints (G, T, 22, 3) in the world; the
-            batch axis may be left out. Missing entries have no weight.
-        weights: of the terms; default ``JOINTS``, or for keypoints ``RGB_LIGHT`` in lean, ``RGB`` in official mode.
-        schedule: ``Schedule.lean()`` in lean mode and ``Schedule.official`` in the other unless given.
-        parametrisation: what turns unknowns into bodies.
+            batch axis may be left out.
+        weights: default ``JOINTS``, or for keypoints ``RGB_LIGHT`` in lean, ``RGB`` in official mode. schedule: default
+            ``Schedule.lean()`` in lean, ``Schedule.official`` in official mode.
         solver: of stage 3: "rollout", whose numbers most notebooks hold, or in lean mode "shooting", which is faster
             and takes a recording whole; one of more than 600 frames goes to "rollout", in windows, and a note says so.
-        cameras: one per recording, instead of the observation's.
-        floor: for keypoints, "camera" (the camera's pose is known, and so the floor), "refine" or "guess".
-        size: of the image in pixels, where no camera says.
+        cameras, floor, size: of keypoints, as ``evidence`` takes them.
         progress: show bars with the energy; or "lines": say which stage begins, on stderr.
         watch: called with the stage and its weighted terms (G',) of the recordings that still move, at every
             evaluation; not by solver "shooting".
@@ -213,9 +193,8 @@ def fit(
         raise ValueError(f"solver: expected one of {', '.join(SOLVERS)}, the last in lean mode alone, got {solver!r}")
     seen = evidence(observation, cameras=cameras, floor=floor, size=size)
     if abs(seen.fps - FPS) > 0.02 * FPS:
-        raise DataError(
-            f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}", remedy="resample the observation first"
-        )
+        what = f"{seen.fps:g} frames per second; the motion prior knows {FPS:g}"
+        raise DataError(what, remedy="resample the observation first")
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
     weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)
     problem = Problem(seen, priors, weights, mode, parametrisation=parametrisation)
@@ -270,11 +249,11 @@ class _Track:
     def pose_stage(self, problem: Problem, unknown: Unknowns, stage: int) -> Unknowns:
         steps = self.schedule.steps[stage - 1]
         unknown, report = stages.stage_1_and_2(problem, unknown, stage, steps=steps, **self._budget(stage))
+        self.results[stage] = [report]
         with torch.no_grad():
             self.energies[stage] = stages.pose_terms(problem, unknown, stage)
             body = unknowns.pose(unknown, problem.priors, problem.evidence)
         self.stages[stage] = unknowns.motion_of(body, problem.evidence.fps)
-        self.results[stage] = [report]
         return unknown
 
     def motion_stage(self, problem: Problem, unknown: Unknowns, solver: str) -> Fitted:
@@ -293,11 +272,9 @@ class _Track:
                 second_start = starts.start_stage_3(*begun, *rest)[0]
             elif s.guesses and seen.hides_feet.any():
                 plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, _WEIGHED))
-                second_start = self._seated(problem, unknown, rest)
-                second_start = Unknowns(**{
-                    name: torch.where(seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)), x, getattr(start, name))
-                    for name, x in second_start.named().items()
-                })  # fmt: skip
+                sits = self._seated(problem, unknown, rest).named()
+                who = {name: seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)) for name, x in sits.items()}
+                second_start = Unknowns(**{n: torch.where(who[n], x, getattr(start, n)) for n, x in sits.items()})
             rolled, self.results[3] = solve(cut, start, plan, second_start=second_start, progress=budget["progress"])
         else:
             rolled, factors = starts.start_stage_3(*begun, *rest)

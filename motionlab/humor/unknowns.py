@@ -1,12 +1,10 @@
 """The unknowns of a fit, and the posed body that they stand for: rotations, forward kinematics, landmarks, pixels.
 
 A recording that is longer than the roll-out can carry is cut into overlapping windows of one length. In stage 3
-neighbours are asked to agree over the frames they share (``stages``); what is left of the gap between them is blended
-here.
+neighbours are asked to agree over the frames they share (``stages``); what is left of the gap is blended here.
 
 Source: HuMoR (Rempe et al. 2021), section 4; windows: the official code's ``use_split`` (60 frames, at least 10 shared,
-the remainder spread).
-Differs: neighbours are blended over the frames they share, where the official code keeps the earlier one's.
+the remainder spread), which keeps the earlier one's frames.
 """
 
 from __future__ import annotations
@@ -28,10 +26,8 @@ from motionlab.humor.rollout import Rollout, rollout
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton, fk
 
-#: What belongs to a recording rather than to one of its windows.
-_SHARED = ("betas", "camera")
-#: The sine of the angle between the two vectors of a rotation, below which they are nearly parallel.
-_FLAT = 0.1
+_SHARED = ("betas", "camera")  # what belongs to a recording rather than to one of its windows
+_FLAT = 0.1  # the sine of the angle between the two vectors of a rotation, below which they are nearly parallel
 #: The unknowns of the first state, x0.
 FIRST = ("trans", "orient", "latent", "trans_vel", "root_orient_vel", "joints_vel")
 
@@ -59,8 +55,7 @@ class Unknowns:
 
     def named(self) -> dict[str, Tensor]:
         """Returns those that are there by name, in their order."""
-        found = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in found.items() if value is not None}
+        return {f.name: value for f in fields(self) if (value := getattr(self, f.name)) is not None}
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Unknowns:
         """Computes the same with every tensor changed."""
@@ -80,14 +75,10 @@ class Unknowns:
 
     def per_window(self) -> Unknowns:
         """Returns the same with one row for each of the B = G W windows, as one leading axis."""
-        windows = self.trans.shape[1]
-
-        def row(name: str, value: Tensor) -> Tensor:
-            if name not in _SHARED:
-                return value.flatten(0, 1)
-            return value if windows == 1 else value.repeat_interleave(windows, 0)
-
-        return Unknowns(**{name: row(name, value) for name, value in self.named().items()})
+        found, windows = self.named(), self.trans.shape[1]
+        own = {name: value.flatten(0, 1) for name, value in found.items() if name not in _SHARED}
+        shared = {name: x if windows == 1 else x.repeat_interleave(windows, 0) for name, x in self.shared().items()}
+        return Unknowns(**own, **shared)
 
 
 class Posed(NamedTuple):
@@ -128,8 +119,7 @@ def from_matrix(turn: Tensor, mode: str) -> Tensor:
 
 
 def reorthogonalised(turn: Tensor) -> Tensor:
-    """Writes rotations (..., 6) anew where their two vectors are nearly parallel: there next to nothing turns a body
-    round, and a search stands still. The rotations stay what they are."""
+    """Writes rotations (..., 6) anew where their two vectors are nearly parallel: there a search would stand still."""
     first, second = turn[..., :3], turn[..., 3:]
     area, sides = torch.linalg.cross(first, second).norm(dim=-1), first.norm(dim=-1) * second.norm(dim=-1)
     return torch.where((area < _FLAT * sides)[..., None], from_matrix(to_matrix(turn), "lean"), turn)
@@ -142,10 +132,9 @@ def skeleton_of(betas: Tensor) -> Skeleton:
 
 def _posed(root: Tensor, rot: Tensor, each: Unknowns, evidence: Evidence) -> Posed:
     joints, turns = fk(skeleton_of(each.betas), root, rot)
-    if evidence.view is None:
-        return Posed(root, rot, joints, joints, each.betas, each.camera)
-    pixels = evidence.view.pixels(landmarks(joints, turns, each.betas), each.camera)
-    return Posed(root, rot, joints, pixels, each.betas, each.camera)
+    view = evidence.view
+    seen = joints if view is None else view.pixels(landmarks(joints, turns, each.betas), each.camera)
+    return Posed(root, rot, joints, seen, each.betas, each.camera)
 
 
 def pose(unknown: Unknowns, priors: Priors, evidence: Evidence) -> Posed:
@@ -161,11 +150,8 @@ def first_state(unknown: Unknowns, priors: Priors) -> Tensor:
     turn, body = to_matrix(each.orient), priors.pose.decode(each.latent)
     skeleton = replace(STANDARD, offsets=offsets(each.betas))
     return state.pack({
-        "trans": each.trans,
-        "trans_vel": each.trans_vel,
-        "root_orient": turn,
-        "root_orient_vel": each.root_orient_vel,
-        "pose_body": body,
+        "trans": each.trans, "trans_vel": each.trans_vel, "root_orient": turn,
+        "root_orient_vel": each.root_orient_vel, "pose_body": body,
         "joints": fk(skeleton, each.trans, torch.cat((turn[:, None], body), -3))[0],
         "joints_vel": each.joints_vel.unflatten(-1, (22, 3)),
     })  # fmt: skip

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from PIL import Image as Pillow
 from torch import Tensor
 
-from motionlab import checkpoint, parallel, viz
+from motionlab import checkpoint, viz
 from motionlab.errors import DataError
 from motionlab.io import load as io_load
 from motionlab.metrics.intervals import interval
@@ -59,7 +59,8 @@ def setup(
     if data and not Path(data).is_dir():
         raise DataError("no such folder", path=data, remedy="set MOTIONLAB_DATA to the unpacked recordings")
     viz.draft = profile == "smoke" and bool(os.environ.get("MOTIONLAB_BATCH"))  # a person wants to see whole films
-    parallel.one_thread()
+    if not os.environ.get("OMP_NUM_THREADS"):
+        torch.set_num_threads(1)
     budget, file = SimpleNamespace(**budgets[profile]), Path.cwd() / f"{notebook}.ipynb"
     claims, record = findings.load_claims(file.parent / "claims.toml"), findings.record_of(file)
     code = staleness.code_hash(file) if file.exists() else ""

@@ -3,8 +3,8 @@
     z_t = z^_t + K_t (x_t - x^_t) + L_t^-T nu_t,        first state and what is shared = L_0^-T nu_0
 
 with gains K_t and factors L_t of the clip's Gauss-Newton matrix (``gauss_newton``). Any z has its nu, and what comes
-out is an exact roll-out: the matrix only shapes the search, so that what it leaves out costs closures, not correctness.
-The networks' slopes change slowly and may be taken at every few frames only, straight lines between.
+out is an exact roll-out: what the matrix leaves out costs closures, not correctness. The networks' slopes change slowly
+and may be taken at every few frames only, straight lines between.
 
 Source: differential dynamic programming (Jacobson and Mayne 1970); thesis 3.3.4 asks for such a formulation.
 """
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.heading import Frame
@@ -31,7 +32,7 @@ from motionlab.humor.stages import Problem
 from motionlab.humor.state import ADDED
 from motionlab.humor.unknowns import Rolled, Unknowns
 
-#: The first state's unknowns and their sizes, its rotation as a vector.
+#: Sizes of the first state's unknowns, its rotation as a vector.
 FIRST_SIZES = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orient_vel": 3, "joints_vel": 66}
 _FIRST = sum(FIRST_SIZES.values())
 #: Where the features of the initial-state mixture stand in xi: joints, joints_vel, trans_vel, root_orient_vel.
@@ -41,10 +42,10 @@ _SHARPEST = 1e2  # 1 / sigma of the prior counts no more than this in the matrix
 
 
 class Whitening(NamedTuple):
-    """Whitened coordinates around a roll-out, in which the Gauss-Newton matrix is the identity.
+    """Coordinates around a roll-out in which the Gauss-Newton matrix is the identity.
 
     base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``rollout``; shared (B, T - 1, 48, S): on
-    what all frames share. shapers (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
+    what all frames share. whiteners (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
     shared, in these coordinates: rest (B, f, f), the matrix without the initial-state mixture, whose features move by
     (B, 138, f).
     """
@@ -80,13 +81,11 @@ def unwhiten(
 def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
     """Computes unknowns after a change (G, f) of the first state and of what is shared."""
     parts = dict(zip(FIRST_SIZES, change[:, None, :_FIRST].split(list(FIRST_SIZES.values()), -1), strict=True))
-    new = {n: getattr(unknown, n) + parts[n] for n in FIRST_SIZES if n != "orient"}
-    turn = rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient)
-    new["orient"] = unknowns.from_matrix(turn, "lean" if unknown.orient.shape[-1] == 6 else "official")
+    new = {n: getattr(unknown, n) + part for n, part in parts.items() if n != "orient"}
+    new["orient"] = unknowns.from_matrix(rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient), "lean")
     new["betas"] = unknown.betas + change[:, _FIRST : _FIRST + BETAS]
-    if unknown.camera is not None:
-        free = change[:, _FIRST + BETAS :]
-        new["camera"] = unknown.camera + (free if free.shape[1] else 0.0)
+    if (free := change[:, _FIRST + BETAS :]).shape[1]:
+        new["camera"] = unknown.camera + free
     return replace(unknown, **new)
 
 
@@ -98,10 +97,9 @@ def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stri
 
     On a CPU one clip after another: the matrices of one stay in its cache.
     """
-    clips = len(unknown.z)
     if not _clip_by_clip(unknown.z):
         return _linearised(problem, unknown, ridge, stride)
-    each = [torch.tensor([i]) for i in range(clips)]
+    each = torch.arange(len(unknown.z)).split(1)
     parts = [_linearised(problem.rows(i), unknown.rows(i), ridge, stride) for i in each]
     whole = Whitening(*(torch.cat(x) for x in zip(*(p._replace(gains=p.base) for p in parts), strict=True)))
     gains = torch.cat([p.gains.transpose(0, 1) for p in parts], 1).transpose(0, 1)  # as roll-outs read them
@@ -130,7 +128,10 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
         x, frame.turn, frame.shift, moves.turn.unflatten(0, (clips, -1)), unknown.betas, unknown.camera,
         energies.contact_probabilities(rollout.contact_logits), problem.evidence, weights,
     )  # fmt: skip
-    a, b = padded_moves(moves, clips, found.of_frame.shape[-1])
+    of_change, b = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
+    more = found.of_frame.shape[-1] - CHANGE  # shape and camera, which stay
+    a, b = F.pad(of_change, (0, more, 0, more)), F.pad(b, (0, 0, 0, more))
+    a[..., CHANGE:, CHANGE:] = torch.eye(more).to(a)
     toward = prior_rows(z.flatten(0, 1), rollout.prior, prior_slopes, a.shape[-1], weights.get("motion_prior", 0.0))
     pairs = torch.cat((found.after @ a + found.before, found.after @ b), -1)
     both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
@@ -141,19 +142,9 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
     return Whitening(base, gains, shared, swept.whiteners, *whiten_first_state(problem, unknown, swept.first, frames))
 
 
-def padded_moves(moves: gauss_newton.TransitionSlopes, clips: int, n: int) -> tuple[Tensor, Tensor]:
-    """Computes linear dynamics A (B, T - 1, n, n), B (B, T - 1, n, 48) from transitions' slopes; shape, camera stay."""
-    of_change, of_z = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
-    a, b = of_change.new_zeros(*of_change.shape[:2], n, n), of_z.new_zeros(*of_z.shape[:2], n, LATENTS)
-    a[..., :CHANGE, :CHANGE], b[..., :CHANGE, :] = of_change, of_z
-    a[..., CHANGE:, CHANGE:] = torch.eye(n - CHANGE, dtype=a.dtype, device=a.device)
-    return a, b
-
-
 def prior_rows(z: Tensor, prior: Gaussian, slopes_: Tensor, n: int, weight: float) -> Tensor:
     """Computes Gauss-Newton rows (N, 96, n + 48) of the prior's negative log likelihood, w (-log N(z; mu(x),
-    sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a quarter of Fisher's information of it, 1/2: tried by
-    hand, with none and all of it, on eight practice clips."""
+    sigma(x))): of (z - mu) / sigma, and of log sigma^2 with a quarter of Fisher's information of it, tried by hand."""
     mean, log_var = (x.flatten(0, 1) for x in prior)
     of_mean, of_log_var = slopes_.chunk(2, 1)
     sharp = (-0.5 * log_var).exp().clamp(max=_SHARPEST) * weight**0.5
@@ -193,9 +184,8 @@ def _gains_on_states(gains: Tensor, x: Tensor, frame: Frame) -> tuple[Tensor, Te
 
 
 def whiten_first_state(problem: Problem, unknown: Unknowns, cost: Tensor, frames: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Computes the whitening L^-T (B, f, f) of the first state, shape and camera from their Gauss-Newton matrix: their
-    own terms and P_0 through ``apply_change``. Also, in whitened coordinates, the matrix without the initial-state
-    mixture (B, f, f), and how the features of that move (B, 138, f)."""
+    """Computes ``first``, ``rest`` and ``features`` of a :class:`Whitening` from the Gauss-Newton matrix of the first
+    state, shape and camera: their own terms, and ``cost``, P_0, through ``apply_change``."""
     weights, view = problem.weights.of(3, frames=frames), problem.evidence.view
     shared = cost.shape[-1] - CHANGE
     count = _FIRST + shared
@@ -216,8 +206,7 @@ def whiten_first_state(problem: Problem, unknown: Unknowns, cost: Tensor, frames
     diagonal = whole.diagonal(dim1=-2, dim2=-1)
     ridge = 1e-4 * diagonal + 1e-5 * diagonal.mean(-1, keepdim=True) + 1e-8
     factor = factorised((whole + torch.diag_embed(ridge)).double())
-    unit = torch.eye(count, dtype=factor.dtype, device=factor.device).expand_as(factor)
-    whitener = torch.linalg.solve_triangular(factor.mT, unit, upper=True).to(h)
+    whitener = torch.linalg.solve_triangular(factor.mT, torch.eye(count).to(factor), upper=True).to(h)
     return whitener, whitener.mT @ h @ whitener, features @ whitener
 
 

@@ -7,13 +7,11 @@ minima are those of ``stages.stage_3``.
 
 There may be a second start: after some rounds, with slopes at few frames until then, the lower one goes on. Later
 rounds search several modes at once, of which each component of the initial-state mixture makes one (``mixture_modes``),
-each in its own coordinates: a closure of four roll-outs takes about twice as long as one of one, not four times. They
-may be cut short (``halving_after``): after some closures the lowest alone goes on.
+each in its own coordinates: a closure of four roll-outs takes about twice as long as one of one.
 
-Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop); for the modes none: HuMoR (Rempe et al. 2021)
-has the mixture, and its optimiser stays where stage 2 puts it.
+Source: thesis 3.3.4 (open); Jacobson and Mayne 1970 (the closed loop); for the modes none.
 Differs: no sub-stages of 15 frames, no windows: a closed loop does not drift apart. Not multiple shooting: the states
-are no unknowns of their own, and the search begins at a roll-out (``start.start_stage_3``).
+are no unknowns of their own.
 """
 
 import time
@@ -78,9 +76,8 @@ def solve(
 ) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
     """Runs the feedback solver from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
 
-    second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: where
-    the coordinates come from, called as ``coordinates.linearised``; another for ablations. note: called whenever
-    energies are known.
+    second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: called
+    as ``coordinates.linearised``; another for ablations. note: called whenever energies are known.
 
     Returns:
         the unknowns of lowest energy, and the reports of all rounds, of all clips; of one that is done: "no decrease".
@@ -98,7 +95,7 @@ def solve(
         unknown = both if trial and plan.two_starts else unknown
     mark, fits = time.perf_counter(), []
     energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
-    live = torch.arange(len(energy), device=energy.device)
+    live = every = torch.arange(len(energy), device=energy.device)
     if len(energy) > clips:  # a second start that is the first is none
         other = [(x != x[live % clips]).flatten(1).any(1) for x in unknown.named().values()]
         live = live[torch.stack(other).any(0) | (live < clips)]
@@ -127,8 +124,12 @@ def solve(
         for kept, new in zip(unknown.named().values(), found.named().values(), strict=True):
             kept[live[better]] = new[better]
         energy[live[better]] = fit.energy[better]
-        whole = _report_of_all(fit, live, energy, time.perf_counter() - mark)
-        fits.append(_of_clips(whole, torch.arange(len(energy), device=energy.device) % clips)[1])
+        reasons = ["no decrease"] * len(energy)  # of the clips that are done, which stay at their energy
+        for at, reason in zip(live.tolist(), fit.reasons, strict=True):
+            reasons[at] = reason
+        history = energy.expand(len(fit.history), -1).index_copy(1, live, fit.history)
+        whole = BatchFit({}, energy.clone(), history, time.perf_counter() - mark, reasons)
+        fits.append(_of_clips(whole, every % clips)[1])
         done = plan.tolerance * energy[live].abs()
         gained = gain > (done.clamp(min=plan.min_gain * (unknown.z.shape[2] + 1)) if plan.min_gain else done)
         mark, live = time.perf_counter(), live[gained] if count >= trial else live
@@ -169,15 +170,13 @@ def _round(
     race = plan.halving_after if len(who) > clips else 0
     args = who, whitener, first, race or plan.closures
     rows, fit = minimise_from(problem, unknown, white, *args, enough=enough[who], **how)
-    found = fit.variables
-    best, fit = _of_clips(fit, who)
+    found, (best, fit) = fit.variables, _of_clips(fit, who)
     rows = rows.rows(best)
     if not race or interrupted(fit):
         return rows, fit, jumping
-    how |= {"nu": found["nu"][best], "enough": enough}
+    args = who[best], whitener[best], found["first"][best], plan.closures - race
     try:
-        args = who[best], whitener[best], found["first"][best], plan.closures - race
-        rows, more = minimise_from(problem, unknown, white, *args, **how)
+        rows, more = minimise_from(problem, unknown, white, *args, nu=found["nu"][best], enough=enough, **how)
     except KeyboardInterrupt:  # before its first energy
         return rows, replace(fit, reasons=["interrupted"] * clips), jumping
     tried = torch.isin(torch.arange(clips, device=who.device), who[clips:])
@@ -191,10 +190,10 @@ def minimise_from(
     progress: bool | str = False,
 ) -> tuple[Unknowns, BatchFit]:  # fmt: skip
     """Minimises the energy from R starts around one linearisation; row r belongs to clip who[r] and starts at first (R,
-    f), in coordinates of its own: shaper (R, f, f) in place of ``Whitening.first``.
+    f), in coordinates of its own: whitener (R, f, f) in place of ``Whitening.first``.
 
     nu: where its latents start, (R, T - 1, 48); default 0. enough: a row is done when a step, and then one down the
-    gradient, gain no more than this, (R,) or one number. note: as of :func:`solve`.
+    gradient, gain no more than this, (R,) or one number.
     """
     some, here = problem.rows(who), unknown.rows(who)
     around = white.rows(who)._replace(first=whitener)
@@ -208,18 +207,17 @@ def minimise_from(
         note()
         return found
 
-    nu = torch.zeros_like(here.z[:, 0]) if nu is None else nu
-    start = {"nu": nu.clone().requires_grad_(), "first": first.clone().requires_grad_()}
-    how = {"steps": 1, "inner": closures, "max_closures": closures, "tolerance_change": enough}
-    fit = minimise_batch(energy, start, unit=True, progress=progress, **how)
+    start = {"nu": torch.zeros_like(here.z[:, 0]) if nu is None else nu, "first": first}
+    start = {name: x.clone().requires_grad_() for name, x in start.items()}
+    how = {"inner": closures, "max_closures": closures, "tolerance_change": enough}
+    fit = minimise_batch(energy, start, steps=1, unit=True, progress=progress, **how)
     with torch.no_grad():
         at, rolled = unwhiten(some, here, around, fit.variables)
     return replace(at, z=rolled.rollout.z[:, None]), fit
 
 
 def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
-    """Of each clip the row (G,) of lowest energy, and the report of rows as one of clips ``who``; a person who stops
-    one row of a clip stops the clip."""
+    """Of each clip the row (G,) of lowest energy, and the report of rows as one of clips ``who``."""
     clips = int(who.max()) + 1
     mine = who == torch.arange(clips, device=who.device)[:, None]  # (G, R)
     best = torch.where(mine, fit.energy, torch.inf).argmin(1)
@@ -230,40 +228,22 @@ def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
     return best, BatchFit({}, fit.energy[best], history, fit.seconds, reasons)
 
 
-def _report_of_all(fit: BatchFit, live: Tensor, energy: Tensor, seconds: float) -> BatchFit:
-    """The report of some clips as one of all: the others stay at their energy."""
-    history = energy.expand(len(fit.history), -1).index_copy(1, live, fit.history)
-    reasons = ["no decrease"] * len(energy)
-    for at, reason in zip(live.tolist(), fit.reasons, strict=True):
-        reasons[at] = reason
-    return BatchFit({}, energy.clone(), history, seconds, reasons)
-
-
 # ------------------------------------------------------------------------------------------------- mixture modes
-# Where the mixture says that one of its components made the first state, a search stays with that component: on the way
-# to another the density is next to nothing. All other terms are, around a roll-out, nearly quadratic in the change d of
-# the first state and of what is shared, while nu = 0 and later latents give way. So the least of the energy with
-# component k alone,
+# A search stays with the component of the mixture that it begins in: on the way to another the density is next to
+# nothing. All other terms are nearly quadratic in the change d of the first state and of what is shared, while nu = 0
+# and later latents give way. So the least of the energy with component k alone,
 #
 #     E_k = min_d  g d + 1/2 d H d + w (1/2 |W_k (f + F d - m_k)|^2 - c_k),
 #
-# is a linear system, and how deep the mode is is known, nearly, before it is entered; its matrix gives a jump the
-# coordinates to search in. g: gradient of all terms but the mixture's. H: their matrix (``Whitening.rest``). f, F: the
-# first state's features and how they move. W_k, m_k, c_k: whitener, mean and constant of the component; w: its weight.
-
-
+# is a linear system, whose matrix gives a jump the coordinates to search in. g: gradient of all terms but the
+# mixture's. H: their matrix (``Whitening.rest``). f, F: the first state's features and how they move. W_k, m_k, c_k:
+# whitener, mean and constant of the component; w: its weight.
 def _starts(
     problem: Problem, unknown: Unknowns, white: Whitening, most: int, share: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Computes where searches begin: R rows, first those of all clips where they are, then jumps.
-
-    most: jumps of a clip; only to where the energy should be lower than now by more than ``share`` of its size, the
-    mode of its own component included.
-
-    Returns:
-        whose each row is (R,), its shaper (R, f, f) of the first state and what is shared, and where it begins in these
-        coordinates (R, f). Rows that stay have ``Whitening.first``; those of jumps make the matrix of their mode 1.
-    """
+    """Where searches begin: whose each of R rows is (R,), its whitener (R, f, f) of the first state and what is shared,
+    and its beginning in these coordinates (R, f). First all clips where they are, then at most ``most`` jumps of each,
+    to where the energy should be lower by more than ``share`` of its size, the mode of its own component included."""
     clips, size = white.first.shape[:2]
     stay, here = torch.arange(clips, device=white.first.device), white.first.new_zeros(clips, size)
     if not most or not _weight(problem, unknown):
@@ -286,10 +266,9 @@ class MixtureModes(NamedTuple):
 
 
 def in_mode(white: Whitening, found: MixtureModes, who: Tensor, which: Tensor) -> tuple[Tensor, Tensor]:
-    """Computes shapers (R, f, f) and beginnings (R, f) of searches in modes: component which (R,) of clip who (R,).
+    """Computes whiteners (R, f, f) and beginnings (R, f) of searches in modes: component which (R,) of clip who (R,).
 
-    Components differ in width by orders of magnitude: in the coordinates of another a step of Newton's misses by as
-    much, and the search leaves the mode again.
+    In the coordinates of another, of another width by far, the search would leave the mode again.
     """
     factor = factorised(found.matrix[who, which])
     whitener = torch.linalg.solve_triangular(factor.mT, white.first[who].to(factor), upper=True, left=False)
@@ -298,10 +277,7 @@ def in_mode(white: Whitening, found: MixtureModes, who: Tensor, which: Tensor) -
 
 
 def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> MixtureModes:
-    """Computes, for each mixture component of the first state, how much lower the energy should be there.
-
-    Where rounding left no mode the point is a saddle, and a search from there a waste.
-    """
+    """Computes, for each mixture component of the first state, how much lower the energy should be there."""
     clips, size = white.first.shape[:2]
     weight, gmm = _weight(problem, unknown), problem.priors.initial
     new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": white.first.new_zeros(clips, size).requires_grad_()}

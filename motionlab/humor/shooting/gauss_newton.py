@@ -6,15 +6,13 @@ A small change of a frame is 210 numbers: its state's in its own heading frame,
     xi 207 = trans | trans_vel | root_orient_vel | joints 66 | joints_vel 66 | omega 66
 
 where omega turns the 22 rotations from the left, R -> exp(omega) R, and gamma = (turn, x, y), how its heading frame
-itself turns about z and moves on the floor, in its own axes. Transitions are differentiated by autograd: networks
-backward, which have fewer outputs than inputs.
+itself turns about z and moves on the floor, in its own axes.
 
 Rows say how each residual of a frame answers to a small change of it, of n = 210 + S numbers: xi, gamma, then S shared
 by all frames of a clip, 8 betas and, where the camera is unknown, its 3. Rows carry the square root of their weight,
 so that H = R^T R is the Gauss-Newton matrix of the energy as it is. Robust terms count with the weight that they have
 at the point; contact probabilities are constants. Contact heights, hinges without curvature, count as the parabolas
-that touch them from above: without them a camera that nobody fixed and its body would rise together at no cost. A term
-without rows is minimised all the same; the coordinates do not know of it.
+that touch them from above: without them a camera that nobody fixed and its body would rise together at no cost.
 
 The sweep goes from the last frame to the first. With y_t a small change of frame t, y_{t+1} = A_t y_t + B_t z_t, and an
 energy 1/2 sum_t |R_t y_t|^2 + |N_t (y_t, z_t)|^2, the least that frames t.. can cost is 1/2 y_t^T P_t y_t,
@@ -27,6 +25,7 @@ Source: HuMoR (Rempe et al. 2021), section 4 (the energies), rows by hand; the d
 Rao, Wright and Rawlings 1998.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -40,7 +39,7 @@ from motionlab.heading import Frame
 from motionlab.humor import energies, state
 from motionlab.humor.body_shape import BETAS, CARRIERS, GROUP_OF, ORDER, PLACE, SPREAD, offsets, scales
 from motionlab.humor.cvae import Cvae
-from motionlab.humor.evidence import Evidence, View
+from motionlab.humor.evidence import Evidence
 from motionlab.humor.state import ADDED, CHANGES
 from motionlab.skeleton import STANDARD, fk
 
@@ -48,10 +47,11 @@ XI, GAMMA, LATENTS = 207, 3, 48
 CHANGE = XI + GAMMA
 _ROOT = [0, 1, 2, ADDED, ADDED + 1, ADDED + 2, XI, XI + 1, XI + 2]  # of a change: trans, the root's omega, gamma
 _PIECE = 16  # frames at a time, for the cache
-_J = state.JOINT_COUNT
+_J = 22
 _OWN = slice(9, 75)  # of the joints that the roll-out carries, in xi
-_HANGS = STANDARD.ancestors().float().T.contiguous()  # [k, j]: the bone to k is on the way to j
-_ABOVE = _HANGS - torch.eye(_J)  # [k, j]: joint k's rotation moves joint j, which lies below it
+_BELOW = STANDARD.ancestors().float().T  # [k, j]: joint j is k, or lies below it
+_HANGS = torch.cat((_BELOW, _BELOW[:, CARRIERS]), 1)  # [k, p]: the bone to k is on the way to point p
+_ABOVE = torch.cat((_BELOW - torch.eye(_J), _BELOW[:, CARRIERS]), 1)  # [k, p]: joint k's rotation moves point p
 _IN_GROUP = F.one_hot(torch.tensor(GROUP_OF), BETAS).float()
 
 
@@ -59,7 +59,7 @@ class TransitionSlopes(NamedTuple):
     """Derivatives of frame t + 1 in z and in a small change of frame t, N transitions.
 
     of_change (N, 210, 210) and of_z (N, 210, 48): columns are causes. turn (N, 3, 3): from the axes of frame t to
-    those of frame t + 1 (as row vectors from the right, ``transition.Step.turn``).
+    those of frame t + 1 (as row vectors from the right, ``rollout.Step.turn``).
     """
 
     of_change: Tensor
@@ -92,10 +92,8 @@ def _rows(of: Callable[..., Tensor], count: int, *rows: Tensor) -> Tensor:
 
 
 def columns(of: Callable[..., Tensor], count: int, *rows: Tensor) -> Tensor:
-    """Computes the Jacobians (N, out, count) of few causes: N rows and small changes (N, count) of each -> (N, out).
-
-    Forward, by going back twice: J^T c is linear in c.
-    """
+    """Computes the Jacobians (N, out, count) of few causes: N rows and small changes (N, count) of each -> (N, out), by
+    going back twice: J^T c is linear in c."""
     change, out = _traced(of, count, rows)
     with torch.enable_grad():
         c = torch.zeros_like(out, requires_grad=True)
@@ -163,13 +161,6 @@ def state_change(states: Tensor, others: Tensor) -> Tensor:
     return torch.cat((x[..., :ADDED] - y[..., :ADDED], omega.flatten(-2), angle[..., None], way), -1)
 
 
-class Body(NamedTuple):
-    """N frames of a posed body in their own heading frames: points (N, P, 3) and how they move (N, P, 3, n)."""
-
-    joints: Tensor
-    slopes: Tensor
-
-
 class Rows(NamedTuple):
     """of_frame (N, m, n): of single frames. before, after (N - B, k, n): of neighbours, either frame's part."""
 
@@ -178,52 +169,37 @@ class Rows(NamedTuple):
     after: Tensor
 
 
-def _posed(x: Tensor, betas: Tensor, *, size: int, marks: bool = False) -> Body:
-    """Computes the joints of N states (N, 339), own heading frames, or the 25 landmarks, and how they move. betas
-    (N, 8). size: n."""
+def _posed(x: Tensor, betas: Tensor, size: int) -> tuple[Tensor, Tensor]:
+    """The 22 joints and 11 surface points (N, 33, 3) of states (N, 339) in their own heading frames, with betas (N, 8),
+    and how they move (N, 33, 3, n). size: n."""
     rot = x[:, ADDED:].unflatten(1, (_J, 3, 3)).mT
     bones = offsets(betas)
     p, turns = fk(replace(STANDARD, offsets=bones), x[:, :3], rot)
     parents = torch.tensor([max(k, 0) for k in STANDARD.parents], device=x.device)
     axes = turns[:, parents].clone()
     axes[:, 0] = torch.eye(3, dtype=x.dtype, device=x.device)
-    points, above, hangs = p, _ABOVE.to(x), _HANGS.to(x)
     stretch = SPREAD * (axes @ bones[..., None])[..., 0]  # (N, 22, 3): of the bone to each joint, per beta of its group
-    if marks:
-        place = scales(betas)[:, CARRIERS, None] * PLACE.to(x)
-        way = (turns[:, CARRIERS] @ place[..., None])[..., 0]
-        points = torch.cat((p, p[:, CARRIERS] + way), 1)
-        above = torch.cat((above, hangs[:, CARRIERS]), 1)
-        hangs = torch.cat((hangs, hangs[:, CARRIERS]), 1)
-    out = x.new_zeros(len(x), points.shape[1], 3, size)
+    place = scales(betas)[:, CARRIERS, None] * PLACE.to(x)
+    way = (turns[:, CARRIERS] @ place[..., None])[..., 0]
+    points = torch.cat((p, p[:, CARRIERS] + way), 1)
+    out = _carried(points, size)
     out[..., :3] = torch.eye(3, dtype=x.dtype, device=x.device)
     lever = points[:, None] - p[:, :, None]  # (N, 22, P, 3)
     turned = torch.linalg.cross(axes.mT[:, :, None], lever[..., None, :].expand(-1, -1, -1, 3, -1))  # (N, 22, P, 3a, 3)
-    turned = turned * above[:, :, None, None]
+    turned = turned * _ABOVE.to(x)[:, :, None, None]
     out[..., ADDED:XI] = turned.permute(0, 2, 4, 1, 3).flatten(3)
-    out[..., XI] = _about_z(points)
-    out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
-    longer = torch.einsum("nkc,kp,kg->npcg", stretch, hangs, _IN_GROUP.to(x))
-    if marks:
-        longer[:, _J:] += SPREAD * way[..., None] * _IN_GROUP.to(x)[CARRIERS][:, None]
-        points, out, longer = points[:, ORDER], out[:, ORDER], longer[:, ORDER]
+    longer = torch.einsum("nkc,kp,kg->npcg", stretch, _HANGS.to(x), _IN_GROUP.to(x))
+    longer[:, _J:] += SPREAD * way[..., None] * _IN_GROUP.to(x)[CARRIERS][:, None]
     out[..., CHANGE : CHANGE + BETAS] = longer
-    return Body(points, out)
+    return points, out
 
 
-def _about_z(v: Tensor) -> Tensor:
-    """e_z x v (..., 3)."""
-    return torch.stack((-v[..., 1], v[..., 0], torch.zeros_like(v[..., 0])), -1)
-
-
-def _own_joints(x: Tensor, size: int) -> Body:
-    """Computes the joints that the roll-out carries beside the pose, as :func:`_posed`."""
-    joints = x[:, _OWN].unflatten(1, (_J, 3))
-    out = x.new_zeros(len(x), _J, 3, size)
-    out[..., _OWN] = torch.eye(66, dtype=x.dtype, device=x.device).unflatten(0, (_J, 3))
-    out[..., XI] = _about_z(joints)
+def _carried(points: Tensor, size: int) -> Tensor:
+    """How points (N, P, 3) move with their heading frame, as it turns and moves on the floor: (N, P, 3, n)."""
+    out = points.new_zeros(*points.shape, size)
+    out[..., 0, XI], out[..., 1, XI] = -points[..., 1], points[..., 0]
     out[..., 0, XI + 1] = out[..., 1, XI + 2] = 1.0
-    return Body(joints, out)
+    return out
 
 
 def residual_rows(
@@ -239,47 +215,40 @@ def residual_rows(
     clips, frames = x.shape[:2]
     free = evidence.view is not None and evidence.view.free
     size = CHANGE + BETAS + (3 if free else 0)
-    flat, shape = x.flatten(0, 1), betas.repeat_interleave(frames, 0)
-    body, own = _posed(flat, shape, size=size), _own_joints(flat, size)
-    found = [weights.get("joint_consistency", 0.0) ** 0.5 * (body.slopes - own.slopes).flatten(1, 2)]
+    flat, weigh = x.flatten(0, 1), defaultdict(float, weights)
+    points, every = _posed(flat, betas.repeat_interleave(frames, 0), size)
+    joints, slopes = flat[:, _OWN].unflatten(1, (_J, 3)), every[:, :_J]  # those that the roll-out carries; the body's
+    own = _carried(joints, size)
+    own[..., _OWN] = torch.eye(66).to(own).unflatten(0, (_J, 3))
+    found = [weigh["joint_consistency"] ** 0.5 * (slopes - own).flatten(1, 2)]
     if evidence.view is None:
-        seen = (evidence.weight * weights.get("joints3d", 0.0)).sqrt().flatten(0, 1)
-        found.append((seen[..., None, None] * body.slopes).flatten(1, 2))
+        seen = (evidence.weight * weigh["joints3d"]).sqrt().flatten(0, 1)
+        found.append((seen[..., None, None] * slopes).flatten(1, 2))
     else:
-        marks = _posed(flat, shape, size=size, marks=True)
-        found.append(_pixel_rows(marks, turn, shift, camera, evidence, weights.get("joints2d", 0.0), clips, free))
+        marks = (each[:, ORDER].unflatten(0, (clips, frames)) for each in (points, every))
+        found.append(_pixel_rows(*marks, turn, shift, camera, evidence, weigh["joints2d"], free))
     feet = list(energies.CONTACT_JOINTS)
-    high = body.joints[:, feet, 2].abs()
-    pull = (
-        weights.get("contact_height", 0.0) * touching.flatten(0, 1) * (high > energies.TOUCHING) / high.clamp(min=1e-6)
-    )
-    found.append(pull.nan_to_num().sqrt()[..., None] * body.slopes[:, feet, 2])
+    high = points[:, feet, 2].abs()
+    pull = weigh["contact_height"] * touching.flatten(0, 1) * (high > energies.TOUCHING) / high.clamp(min=1e-6)
+    found.append(pull.nan_to_num().sqrt()[..., None] * slopes[:, feet, 2])
     of_frame = torch.cat(found, 1).unflatten(0, (clips, frames))
 
-    lengths = _length_rows(own).mul_(weights.get("bone_length", 0.0) ** 0.5).unflatten(0, (clips, frames))
-    where = body.slopes[:, feet].unflatten(0, (clips, frames))
-    held = (touching[:, 1:] * weights.get("contact_vel", 0.0)).sqrt()[..., None, None]
+    parents = list(energies.BONE_PARENTS)
+    bones = joints[:, 1:] - joints[:, parents]
+    way = bones / bones.norm(dim=-1, keepdim=True).clamp(min=1e-6)
+    lengths = (way[..., None] * (own[:, 1:] - own[:, parents])).sum(-2)
+    lengths = lengths.mul_(weigh["bone_length"] ** 0.5).unflatten(0, (clips, frames))
+    where = slopes[:, feet].unflatten(0, (clips, frames))
+    held = (touching[:, 1:] * weigh["contact_vel"]).sqrt()[..., None, None]
     before = held * where[:, :-1]
     after = held * (steps[:, :, None] @ where[:, 1:])  # back into the axes of the former frame
-    pairs = (
-        torch.cat((-lengths[:, :-1], -before.flatten(2, 3)), 2),
-        torch.cat((lengths[:, 1:], after.flatten(2, 3)), 2),
-    )
-    return Rows(of_frame, *pairs)
+    before = torch.cat((-lengths[:, :-1], -before.flatten(2, 3)), 2)
+    return Rows(of_frame, before, torch.cat((lengths[:, 1:], after.flatten(2, 3)), 2))
 
 
-def _length_rows(own: Body) -> Tensor:
-    """Lengths of the 21 bones between carried joints: (N, 21, n)."""
-    parents = list(energies.BONE_PARENTS)
-    bones = own.joints[:, 1:] - own.joints[:, parents]
-    way = bones / bones.norm(dim=-1, keepdim=True).clamp(min=1e-6)
-    return (way[..., None] * (own.slopes[:, 1:] - own.slopes[:, parents])).sum(-2)
-
-
-def _pixel_rows(marks: Body, turn, shift, camera, evidence: Evidence, weight: float, clips: int, free: bool) -> Tensor:
-    view: View = evidence.view
-    frames = evidence.values.shape[1]
-    points = marks.joints.unflatten(0, (clips, frames))
+def _pixel_rows(points: Tensor, slopes: Tensor, turn, shift, camera, evidence: Evidence, weight, free: bool) -> Tensor:
+    """Rows (B T, 50, n) of the pixels of landmarks (B, T, 25, 3), own frames, that move so (B, T, 25, 3, n)."""
+    view = evidence.view
     world = points @ turn - shift[:, :, None]  # own = turn (world + shift)
     turned, centre = view.moved(camera)
     local = (world - centre[:, None, None]) @ turned[:, None].mT
@@ -291,7 +260,7 @@ def _pixel_rows(marks: Body, turn, shift, camera, evidence: Evidence, weight: fl
     project = torch.where((local[..., 2:] > 0.05)[..., None], project, 0.0)
     whole = project @ (turned[:, None] @ turn.mT)[:, :, None]
     pixels = view.pixels(world, camera)
-    slopes = whole @ marks.slopes.unflatten(0, (clips, frames))
+    slopes = whole @ slopes
     if free:
         of_camera = columns(lambda more, camera: view.pixels(world, camera + more).flatten(1), 3, camera)
         slopes[..., -3:] = of_camera.unflatten(1, pixels.shape[1:])
@@ -303,7 +272,7 @@ def _pixel_rows(marks: Body, turn, shift, camera, evidence: Evidence, weight: fl
 
 # ------------------------------------------------------------------------------------------------------- the sweep
 class Sweep(NamedTuple):
-    """gains K (B, T - 1, Z, n), shapers L^-T (B, T - 1, Z, Z) and what the first change costs, P_0 (B, n, n)."""
+    """gains K (B, T - 1, Z, n), whiteners L^-T (B, T - 1, Z, Z) and what the first change costs, P_0 (B, n, n)."""
 
     gains: Tensor
     whiteners: Tensor
@@ -311,7 +280,7 @@ class Sweep(NamedTuple):
 
 
 def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge: float = 1e-6) -> Sweep:
-    """Computes gains and shapers from quadratic costs and linear dynamics, backwards through T frames.
+    """Computes gains and whiteners from quadratic costs and linear dynamics, backwards through T frames.
 
     of_frame (B, T, n, n): R^T R. a (B, T - 1, n, n), b (B, T - 1, n, Z). of_pair (B, T - 1, n + Z, n + Z): N^T N.
     ridge: added to the diagonal of Q_zz.
@@ -337,11 +306,8 @@ def riccati_sweep(of_frame: Tensor, a: Tensor, b: Tensor, of_pair: Tensor, ridge
 
 
 def factorised(h: Tensor) -> Tensor:
-    """Computes Cholesky factors (B, m, m) from symmetric matrices.
-
-    A matrix that rounding made indefinite gets more on its diagonal. One that is not finite gives the identity, so that
-    one bad clip does not end the others.
-    """
+    """Computes Cholesky factors (B, m, m) from symmetric matrices. One that rounding made indefinite gets more on its
+    diagonal; one that is not finite gives the identity, so that one bad clip does not end the others."""
     factor, bad = torch.linalg.cholesky_ex(h)
     if not bad.any():
         return factor
