@@ -11,7 +11,7 @@ from motionlab import checkpoint
 from motionlab.__main__ import main
 from motionlab.diffusion import windows
 from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.model import SIZES, DenoiserRecipe, LossWeights, load_denoiser, motion_model, save_denoiser
+from motionlab.diffusion.model import LOSS_WEIGHTS, SIZES, DenoiserRecipe, load_denoiser, motion_model, save_denoiser
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
@@ -74,7 +74,7 @@ def test_a_run_does_not_go_on_with_other_windows(motions, data, tmp_path):
 
 
 def test_the_loss_is_the_weighted_sum_of_its_parts(data):
-    weights = LossWeights(fk=2.0, velocity=0.5, contact=7.0)
+    weights = LOSS_WEIGHTS | {"fk": 2.0, "velocity": 0.5, "contact": 7.0}
     row = denoiser_training.DenoiserTraining(replace(SMALL, weights=weights), data).advance()
     parts = row["simple"] + 2 * row["fk"] + 0.5 * row["velocity"] + 7 * row["contact"]
     assert row["loss"] == pytest.approx(parts, rel=1e-5)

@@ -10,7 +10,7 @@ from motionlab import checkpoint
 from motionlab.diffusion import state
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.model import LossWeights
+from motionlab.diffusion.model import LOSS_WEIGHTS
 from motionlab.diffusion.windows import draw_units, gather, on_standard, units
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
@@ -84,18 +84,17 @@ def test_the_completers_loss_is_the_librarys(noised, batch, k):
 
 
 def test_the_plain_loss_is_the_librarys(batch, k):
-    some, layout, counts = batch[0], Layout(), LossWeights()
+    some, layout = batch[0], Layout()
     rows = layout.encode(motion(some))
     normaliser = Normaliser.measure(rows, layout)
     truth, seen = normaliser.apply(rows), some[3][:, units(layout)]
     said = truth + 0.1 * torch.randn(truth.shape, generator=torch.Generator().manual_seed(2))
     names = ("simple", "velocity", "fk", "contact")
     parts = denoising_losses(said, truth, layout, normaliser, STANDARD.offsets[None], parts=names, seen=seen)
-    expected = sum(getattr(counts, name) * part for name, part in parts.items())
-    each = {name: getattr(counts, name) for name in names}
-    made = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, each, seen, k)
+    expected = sum(LOSS_WEIGHTS[name] * part for name, part in parts.items())
+    made = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, LOSS_WEIGHTS, seen, k)
     assert torch.allclose(made, expected, rtol=1e-5)
-    other = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, each, torch.zeros_like(seen), k)
+    other = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, LOSS_WEIGHTS, torch.zeros_like(seen), k)
     assert not torch.allclose(other, expected, rtol=1e-1)  # control: nothing was recorded
 
 

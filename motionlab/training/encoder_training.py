@@ -1,12 +1,11 @@
 """Trains the autoencoder in whose latent features generated motion is judged (``diffusion.encoder``)."""
 
 import math
-from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from motionlab.diffusion.encoder import FEATURE_GROUPS, Autoencoder, EncoderRecipe, MotionEncoder, signals
+from motionlab.diffusion.encoder import FEATURE_GROUPS, EncoderRecipe, MotionEncoder, signals
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
@@ -21,19 +20,16 @@ class _EncoderRun(TrainingRun):
 
     def __init__(self, recipe: EncoderRecipe, windows: Windows) -> None:
         generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
-        network = seeded(recipe.seed, lambda: Autoencoder(recipe))
-        self.mean, self.scale = _moments(signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
+        network = seeded(recipe.seed, lambda: MotionEncoder(recipe))
+        moments = _moments(signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
+        network.mean, network.scale = moments
         self.weight = torch.cat([torch.full((n,), 1 / (n * len(FEATURE_GROUPS))) for n in FEATURE_GROUPS.values()])
         optimiser = torch.optim.Adam(network.parameters(), recipe.lr)
         super().__init__(recipe, windows.digest, generator, network, optimiser)
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
-        x = (signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale
-        return ((self.model(x) - x).square() * self.weight).sum(-1).mean(), {}
-
-    def _ready(self, network: Autoencoder) -> MotionEncoder:
-        size = self.recipe.size
-        return MotionEncoder(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
+        _, missed = self.model.missed(self.windows.draw(self.recipe.batch, self.generator))
+        return (missed * self.weight).sum(-1).mean(), {}
 
 
 def train_encoder(
@@ -47,7 +43,7 @@ def train_encoder(
     made = run.averaged
     made.network.half().float()  # its weights as they are stored
     latent = made(windows.draw(2048, run.generator)).float()
-    made = replace(made, centre=latent.mean(0), spread=latent.std(0).clamp(min=1e-3))
+    made.centre, made.spread = latent.mean(0), latent.std(0).clamp(min=1e-3)
     return made, [{name: round(value, 4) for name, value in row.items()} for row in run.curve]
 
 

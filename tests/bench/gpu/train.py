@@ -101,7 +101,7 @@ class Run:
             self.units = (usual.mean, usual.scale) if drawn else (numbers[0, 0], numbers[0, 0])
             left = self.recipe.schedule.alpha_bar
             self.signal, self.noise = (x.float().sqrt().to(k.device) for x in (left, 1 - left))
-            self.counts = self.recipe.weights.parts()
+            self.counts = self.recipe.weights
         else:
             self.recipe = CompleterRecipe.read(how["recipe"])
             if strange := {name for name, _ in self.recipe.kinds} - set(steps.ORDER):
