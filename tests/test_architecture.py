@@ -14,7 +14,7 @@ FLOORS = """
     diffusion.sampling files optimise rotation skeleton
     body checkpoint motion rigs
     baselines cleaning contact heading humanml ik observation rest skinning tailoring
-    data_synth diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
+    data_synth diffusion.encoder diffusion.features humor.body_shape humor.state io
         metrics retarget viz
     certificate corpus diffusion.completer diffusion.denoising diffusion.model
         diffusion.windows humor.cvae splits

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import nn
 
-from motionlab.diffusion import inpainting, windows
-from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion import inpainting
+from motionlab.diffusion.features import Normaliser, units
 from motionlab.diffusion.inpainting import Inpainting
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.windows import gather, on_standard
@@ -65,7 +65,7 @@ def test_with_a_perfect_denoiser_every_way_returns_the_truth_where_it_was(motion
 @pytest.mark.parametrize("way", WAYS)
 def test_hidden_numbers_are_never_read(motion, way):
     model = model_of(motion)
-    known = torch.isin(windows.units(model.layout), torch.tensor(STANDARD.indices(["spine1", "spine2", "neck"])))
+    known = torch.isin(units(model.layout), torch.tensor(STANDARD.indices(["spine1", "spine2", "neck"])))
     known = known.expand(12, -1)
     x0 = model.encode(motion)
     spoilt = torch.where(known, x0, float("nan"))

@@ -9,8 +9,7 @@ import torch
 
 from motionlab import checkpoint
 from motionlab.__main__ import main
-from motionlab.diffusion import windows
-from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.features import Normaliser, units
 from motionlab.diffusion.model import LOSS_WEIGHTS, SIZES, DenoiserRecipe, load_denoiser, motion_model, save_denoiser
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
@@ -44,7 +43,7 @@ def test_a_joint_that_no_recording_has_is_not_learnt(motions, joint):
         SMALL, gather([on_standard(m) for m in motions], SMALL.frames, missing=[(joint,)] * 2)
     )
     lost = STANDARD.indices([joint, joint.replace("left", "right")])
-    mine = torch.isin(windows.units(run.layout), torch.tensor(lost))
+    mine = torch.isin(units(run.layout), torch.tensor(lost))
     out = run.model.output_process.poseFinal.weight
     before = out.detach().clone()
     run.run(until=4)

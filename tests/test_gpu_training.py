@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from motionlab import checkpoint
-from motionlab.diffusion import state
+from motionlab.diffusion import features
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.features import Layout, Normaliser, units
 from motionlab.diffusion.model import LOSS_WEIGHTS
-from motionlab.diffusion.windows import draw_units, gather, on_standard, units
+from motionlab.diffusion.windows import draw_units, gather, on_standard
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
@@ -59,7 +59,7 @@ def model(noised: bool, of: Motion) -> Completer:
     torch.manual_seed(0)
     made = Completer(CompleterRecipe(size=64, layers=1, diffusion=noised))
     torch.nn.init.normal_(made.said.weight, std=0.02)
-    mean, scale = state.sizes(state.rows(of))
+    mean, scale = features.sizes(features.states(of))
     made.mean.copy_(mean), made.scale.copy_(scale)
     return made
 
@@ -71,7 +71,7 @@ def test_the_completers_loss_is_the_librarys(noised, batch, k):
     net = model(noised, truth)
     angle, noise = (
         torch.rand(COUNT, generator=draws) * math.pi / 2,
-        torch.randn(COUNT, steps.T, state.MADE, generator=draws),
+        torch.randn(COUNT, steps.T, features.MADE, generator=draws),
     )
     told = (angle, noise) if noised else ()
     made = net.filled(truth, known, *told)

@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines
-from motionlab.bench.cases import JOINTS, chosen, columns, restore_known
+from motionlab.bench.cases import JOINTS, chosen, restore_known
 from motionlab.diffusion.denoising import noise_size
-from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.features import Layout, Normaliser, units
 from motionlab.diffusion.inpainting import offset_decay
 from motionlab.errors import ShapeError
 from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
@@ -143,7 +143,7 @@ class Rivals:
         if known.shape[:2] != motion.root.shape[:2]:
             raise ShapeError(f"known: expected {tuple(motion.root.shape[:2])} windows, got {tuple(known.shape)}")
         _, frame = stuck_root(motion)
-        mask = columns(self.layout, known).flatten(1)
+        mask = known[..., units(self.layout)].flatten(1)
         x = torch.where(mask, self.encode_in(frame, motion), 0.0)
         rows = find(x, mask)
         if finish:

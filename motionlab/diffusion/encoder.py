@@ -1,4 +1,4 @@
-"""Encodes windows of motion as features for FID and KID: the latent numbers of an autoencoder over two seconds.
+"""Encodes windows of motion as features for FID: the latent numbers of an autoencoder over two seconds.
 
 It sees the root's path and the feet's sliding, and is trained on training motion alone, as features must not depend on
 held-out motion.

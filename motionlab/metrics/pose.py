@@ -112,6 +112,12 @@ def jitter(positions: Tensor, fps: float) -> Tensor:
     return masked_mean(jerk, None, 2)
 
 
+def power_spectrum(velocities: Tensor) -> Tensor:
+    """Computes the power (..., F) of velocities (..., T, J, 3) by frequency under a Hann window, summed over joints."""
+    window = torch.hann_window(velocities.shape[-3], False, dtype=velocities.dtype, device=velocities.device)
+    return torch.fft.rfft(velocities * window[:, None, None], dim=-3).abs().square().sum((-1, -2))
+
+
 def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Sequence[float]) -> Tensor:
     """Computes the power of predicted paths over that of the true ones, by frequency band: (..., bands).
 
@@ -128,13 +134,8 @@ def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Se
     _check_pair(predicted, truth)
     if truth.shape[-3] < 2:
         return truth.new_full((*np.broadcast_shapes(predicted.shape, truth.shape)[:-3], len(edges) - 1), torch.nan)
-
-    def power(x: Tensor) -> Tensor:  # (..., F)
-        speed = x.diff(dim=-3)
-        window = torch.hann_window(speed.shape[-3], periodic=False, dtype=x.dtype, device=x.device)
-        return torch.fft.rfft(speed * window[:, None, None], dim=-3).abs().square().sum((-1, -2))
-
     frequency = torch.fft.rfftfreq(truth.shape[-3] - 1, 1 / fps, dtype=truth.dtype, device=truth.device)
     bands = torch.tensor([list(band) for band in pairwise(edges)]).to(truth)
     inside = ((frequency >= bands[:, :1]) & (frequency < bands[:, 1:])).to(truth)  # (bands, F)
-    return (power(predicted) @ inside.mT) / (power(truth) @ inside.mT)
+    mine, true = (power_spectrum(x.diff(dim=-3)) @ inside.mT for x in (predicted, truth))
+    return mine / true

@@ -13,7 +13,7 @@ from motionlab.bench import cases
 from motionlab.bench.cases import PersonWindows, by_person, person_windows
 from motionlab.bench.judge import CASES, FRAMES, judged
 from motionlab.contact import with_contacts
-from motionlab.diffusion import completer, state
+from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
@@ -87,7 +87,7 @@ class CompleterCourse(train_more.Course):
 def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
     """What is left of noise that is new in every frame, and what the smoother alone leaves; first the mean."""
     motion, whose, _ = windows
-    nothing = torch.zeros(*motion.root.shape[:2], state.UNITS, dtype=torch.bool)
+    nothing = torch.zeros(*motion.root.shape[:2], features.UNITS, dtype=torch.bool)
     row, left = {}, []
     for degrees, cm in _NOISES:
         noise = Noise.of(degrees, cm)

@@ -15,10 +15,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.features import Layout, Normaliser, units
 from motionlab.diffusion.model import Denoiser, DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.sampling import noise_like
-from motionlab.diffusion.windows import Windows, units
+from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, check_shape
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD

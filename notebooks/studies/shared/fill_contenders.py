@@ -13,11 +13,11 @@ from torch import Tensor, nn
 
 from motionlab.bench import rivals
 from motionlab.bench.rivals import RIDGES, Rivals
-from motionlab.diffusion import completer, state
+from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import Completer, guess
+from motionlab.diffusion.features import units
 from motionlab.diffusion.inpainting import Inpainting, inpaint
 from motionlab.diffusion.model import MotionDiffusion, motion_model
-from motionlab.diffusion.windows import units
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.training.training_loop import fast_halves
@@ -84,7 +84,7 @@ class Models:
         local, frame = stuck_root(motion)
         if local.contacts is None:
             local = replace(local, contacts=motion.root.new_zeros(*motion.root.shape[:-1], 9))
-        made = state.motion_of(guess(local, known, *self.r.sizes), local)
+        made = features.motion_of(guess(local, known, *self.r.sizes), local)
         return local_to_world(frame, replace(made, contacts=None))
 
     def ridge(self, motion: Motion, known: Tensor, how: tuple[float, int], seed: int | None) -> Motion:

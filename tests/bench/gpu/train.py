@@ -39,9 +39,8 @@ sys.path.insert(0, str(Path(__file__).parents[3]))
 
 from motionlab import rotation
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.features import Normaliser, sizes
 from motionlab.diffusion.model import DenoiserRecipe
-from motionlab.diffusion.state import sizes
 from motionlab.diffusion.windows import Windows
 from tests.bench.gpu import steps
 
