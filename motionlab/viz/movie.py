@@ -55,36 +55,29 @@ def meshes(occluders: Sequence[object]) -> list[Mesh]:
 
 @dataclass(frozen=True)
 class Film:
-    """A written movie; shows itself in a notebook.
+    """A written movie of ``seconds`` of motion, ``speed`` times as fast as life; shows itself in a notebook.
 
-    frames at fps per second play ``seconds`` of motion ``speed`` times as fast as life. poster: a JPEG of the frame in
-    the middle, which a page shows before the film plays or where it cannot.
+    poster: a JPEG of the frame in the middle, which a page shows before the film plays or where it cannot.
     """
 
     path: Path
-    frames: int
-    fps: float
     seconds: float
     speed: float
-    bytes: int
-    poster: bytes = b""
+    poster: bytes
 
     def _repr_html_(self) -> str:
         data = base64.b64encode(self.path.read_bytes()).decode()
         if self.path.suffix == ".gif":
             return f'<img alt="{self.path.stem}" src="data:image/gif;base64,{data}">'
-        still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}" if self.poster else ""
+        still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}"
         look = f'controls loop autoplay muted playsinline style="max-width:100%" poster="{still}"'
         return f'<video {look} src="data:video/mp4;base64,{data}"></video>'
 
 
 def write_film(
-    pictures: Sequence[np.ndarray], path: str | Path, fps: float, budget: int = 700_000
-) -> tuple[int, float, int]:
-    """Writes pictures (H, W, 3) uint8 as a .gif that loops or an .mp4; returns its frames, rate and bytes.
-
-    A GIF that would be larger than ``budget`` bytes gets fewer colours, then fewer frames per second; it keeps
-    its length.
+    pictures: Sequence[np.ndarray], path: str | Path, fps: float, seconds: float, speed: float = 1.0
+) -> Film:
+    """Writes pictures (H, W, 3) uint8 as a .gif that loops or an .mp4; ``seconds`` and ``speed`` as of :class:`Film`.
 
     Raises:
         ShapeError: no pictures. ValueError: another ending, or a rate that the format cannot play.
@@ -92,26 +85,22 @@ def write_film(
     path = Path(path)
     if len(pictures) == 0:
         raise ShapeError(f"{path}: no pictures to write")
-    step = 1
     if path.suffix == ".gif":
-        for colours, step in ((127, 1), (64, 1), (64, 2), (48, 3)):
-            _write_gif(path, pictures[::step], fps / step, colours)
-            if path.stat().st_size <= budget:
-                break
+        _write_gif(path, pictures, fps)
     elif path.suffix == ".mp4":  # its pixels come in pairs
         height, width = (n // 2 * 2 for n in pictures[0].shape[:2])
         imageio.mimwrite(path, [p[:height, :width] for p in pictures], fps=fps, macro_block_size=2, quality=6)
     else:
         raise ValueError(f"{path}: a film ends in .gif or .mp4")
-    return len(pictures[::step]), fps / step, path.stat().st_size
+    return Film(path, seconds, speed, jpeg(pictures[len(pictures) // 2]))
 
 
-def _write_gif(path: Path, pictures: Sequence[np.ndarray], fps: float, colours: int) -> None:
+def _write_gif(path: Path, pictures: Sequence[np.ndarray], fps: float) -> None:
     """Write a GIF in one palette; it counts hundredths of a second, so some pictures last one longer."""
     if not 0 < fps <= 50:
         raise ValueError(f"{path}: {fps} frames per second; browsers play a GIF at 50 at most")
     sample = np.concatenate(pictures[:: len(pictures) // 12 + 1])
-    key = Image.fromarray(sample).quantize(colours, Image.Quantize.FASTOCTREE)
+    key = Image.fromarray(sample).quantize(127, Image.Quantize.FASTOCTREE)
     first, *others = (Image.fromarray(picture).quantize(palette=key, dither=Image.Dither.NONE) for picture in pictures)
     lasts = 10 * np.diff(np.round(100 / fps * np.arange(len(pictures) + 1)).astype(int))
     first.save(path, save_all=True, append_images=others, duration=lasts.tolist(), loop=0, optimize=True)
@@ -133,16 +122,12 @@ def stage(
     """
     panels, roles = _cast(motions, roles)
     seconds = max((single(motion).frames - 1) / motion.fps for motion in panels.values())
-    scene = Scene(size or _usual_size(len(panels)), panels=tuple(panels), **view).floor()
+    scene = Scene(size, panels=tuple(panels), **view).floor()
     for panel, (label, motion) in enumerate(panels.items()):
         _add(scene, motion, roles[label], body, None if motion is ghost else ghost, panel=panel)
         for vertices, faces in things:
             scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD, opacity=0.35, framed=False, panel=panel)
     return scene, seconds
-
-
-def _usual_size(panels: int) -> tuple[int, int]:
-    return {1: (480, 360), 2: (640, 340)}.get(panels, (240 * panels, 320))
 
 
 def _cast(motions, roles) -> tuple[dict[str, Motion], dict[str, str]]:
@@ -201,7 +186,8 @@ def film(
         fps = fps or min(30.0, max((m.fps for m in shown), default=30.0))
     fps, most = fps or 12.5, most or 60
     fine = 1 if viz.draft else _FINE  # a third faster than a scene that smooths its own edges
-    width, height = (fine * n for n in size or _usual_size(len(shown)))
+    usual = {1: (480, 360), 2: (640, 340)}.get(len(shown), (240 * len(shown), 320))
+    width, height = (fine * n for n in size or usual)
     how = {"things": things, "ghost": ghost, "follow": follow, "azimuth": azimuth}
     scene, seconds = stage(motions, roles, body, (width, height), **how)
     scene.smooth(False)
@@ -215,8 +201,7 @@ def film(
         for now in tqdm(drawn(np.arange(count) * pace / fps), f"film {path.name}", leave=False, disable=not progress):
             clock(f"{now:.1f} s" + (f"  ({pace:.1f} x life)" if abs(pace - 1) > 0.05 else ""))
             pictures.append(np.asarray(Image.fromarray(scene.image(float(now))).reduce(fine)))
-    frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / count)  # a draft keeps its length
-    return Film(path, frames, rate, seconds, pace, size_on_disk, jpeg(pictures[len(pictures) // 2]))
+    return write_film(pictures, path, fps * len(pictures) / count, seconds, pace)  # a draft keeps its length
 
 
 def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
