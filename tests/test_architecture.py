@@ -12,7 +12,8 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = """
     errors examples parallel subjects
     diffusion.sampling files optimise rotation skeleton
-    body checkpoint motion rigs
+    checkpoint motion rigs
+    body
     baselines cleaning contact heading humanml ik observation rest skinning tailoring
     data_synth diffusion.encoder diffusion.features humor.body_shape humor.state io
         metrics retarget viz

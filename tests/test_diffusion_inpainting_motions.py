@@ -16,8 +16,7 @@ from motionlab.skeleton import STANDARD
 
 WAYS = {
     "eq. 4.10": Inpainting(),
-    "imputed": Inpainting(known="impute"),
-    "guided": Inpainting(known="impute", guidance_weight=1.0),
+    "guided": Inpainting(guidance_weight=1.0),
     "soft": Inpainting(mask_ramp=2, replace_last=False, blend_frames=4),  # else held values would be blended in
     "finish": Inpainting(replace_last=False, blend_frames=4),
 }
@@ -101,5 +100,3 @@ def test_what_makes_no_sense_is_refused(motion, generator):
     model = model_of(motion)
     with pytest.raises(ShapeError, match="known"):
         inpainting.inpaint(model, motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)
-    with pytest.raises(ValueError, match="replace"):
-        Inpainting(known="paste")

@@ -1,4 +1,4 @@
-"""What a diffusion model must beat on the same masks: the mean, the nearest neighbour, ridge regression, filters.
+"""What a diffusion model must beat on the same masks: the nearest neighbour, ridge regression, filters.
 
 All of them fill the unknown numbers of a window x (T D) from the known ones and leave those as they are. ``known`` is
 as in ``cases``: bool (B, T, U).
@@ -66,10 +66,6 @@ class Rivals:
 
     # ----------------------------------------------------------------------------------------- fill what is hidden
     # finish: frames beside what is known over which the offset from it fades (``inpainting.offset_decay``); 0: it jumps
-    def mean(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
-        """The mean training window."""
-        return self._filled(motion, known, lambda x, mask: self.mean_row.expand_as(x), finish)
-
     def nearest(
         self, motion: Motion, known: Tensor, finish: int = 0, *, rank: int = 0, clips: Tensor | None = None
     ) -> Motion:

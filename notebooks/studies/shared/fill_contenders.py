@@ -34,7 +34,7 @@ PLAIN = Inpainting(steps=50)  # Eq. 4.10; 250 steps left no less
 LEFT = Inpainting(steps=50, replace_last=False)  # not written back after the last step
 MIXED = Inpainting(steps=50, replace_last=False, blend_frames=EDGE)  # and then mixed with what is known
 BLENDED = Inpainting(steps=50, mask_ramp=EDGE)  # 4.2.5
-_GUIDED = Inpainting(known="impute", guidance_weight=1.0, steps=25)
+_GUIDED = Inpainting(guidance_weight=1.0, steps=25)
 _GUIDED_IN_TIME = replace(_GUIDED, replace_last=False, blend_frames=EDGE)
 #: Guided, by whether a case has edges in time, and whether every window has a mask of its own: chosen on validation
 #: people, of weights 1 to 20, 25 and 50 steps, with and without the last writing back.
