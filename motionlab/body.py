@@ -87,12 +87,12 @@ class BodyModel:
             body = _bake()
             path.parent.mkdir(parents=True, exist_ok=True)
             tensors = {k: v for k, v in vars(body).items() if isinstance(v, Tensor)}
-            about = {"sole": body.skeleton.sole, "keypoint_vertices": body.keypoint_vertices, "notes": body.notes}
+            about = {"sole": body.skeleton.sole, "keypoint_vertices": body.keypoint_vertices}
             keep(path, tensors | {"offsets": body.skeleton.offsets}, about)
             return body
         tensors, about = found
-        skeleton = replace(STANDARD, offsets=tensors.pop("offsets"), sole=about.pop("sole"))
-        return cls(**tensors, skeleton=skeleton, **about | {"notes": tuple(about["notes"])})
+        skeleton = replace(STANDARD, offsets=tensors.pop("offsets"), sole=about["sole"])
+        return cls(**tensors, skeleton=skeleton, keypoint_vertices=about["keypoint_vertices"])
 
     def skeleton_for(self, betas: Tensor | None = None) -> Skeleton:
         """Computes the T-pose skeleton of the body that ``betas`` (..., B) describe.
@@ -114,13 +114,9 @@ class BodyModel:
 
 
 def lbs(
-    body: BodyModel,
-    skeleton: Skeleton,
-    root: Tensor,
-    rot: Tensor,
-    betas: Tensor | None = None,
+    body: BodyModel, skeleton: Skeleton, root: Tensor, rot: Tensor, betas: Tensor | None = None,
     vertices: Sequence[int] | Tensor | None = None,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Computes a posed body's vertices, world, by linear blend skinning.
 
     v' = sum_j w_j (A_j v + p_j - A_j joint_j),  A_j = R_j bind_rot_j^T,  (p, R) = fk(skeleton, root, rot)
@@ -205,7 +201,7 @@ def _bake() -> BodyModel:
         progress.update()
         people = model(phenotype_kwargs=_adults(torch.Generator().manual_seed(_SEED)))
         points = torch.cat((people["rest_vertices"], people["rest_bone_heads"]), 1)
-        directions, explained = _principal(_to_rest_frame(points), _BETAS)
+        directions = _principal(_to_rest_frame(points))
         progress.update()
     names, count = list(model.bone_labels), len(vertices)
     owner = torch.tensor(_standard_owners(names, list(model.bone_parents)))
@@ -222,10 +218,6 @@ def _bake() -> BodyModel:
         faces=model.get_triangular_faces(),
         skeleton=replace(STANDARD, offsets=offsets, sole=float(joints[:, 1].min() - vertices[:, 1].min())),
         keypoint_vertices=_keypoint_vertices(vertices, keypoints),
-        notes=(
-            f"anny {version('anny')}, average adult",
-            f"{_BETAS} betas explain {explained:.2%} of the shape variance of {_SAMPLES} adults",
-        ),
     )
 
 
@@ -268,14 +260,13 @@ def _adults(generator: torch.Generator) -> dict[str, Tensor]:
     return {"gender": gender, "age": AVERAGE_ADULT["age"] + 0.23 * age, **normal}
 
 
-def _principal(points: Tensor, count: int) -> tuple[Tensor, float]:
-    """Directions (N, 3, count), one standard deviation each, and the share of variance that they explain."""
+def _principal(points: Tensor) -> Tensor:
+    """Directions (N, 3, betas) in which points (people, N, 3) differ most, one standard deviation each."""
     flat = (points - points.mean(0)).flatten(1)
     _, spread, axes = torch.linalg.svd(flat, full_matrices=False)
-    directions = (spread[:count, None] / (len(points) - 1) ** 0.5 * axes[:count]).unflatten(1, (-1, 3))
-    taller = directions[..., 1].gather(1, points[0, :, 1].argmax().expand(count, 1))
-    directions = directions * torch.where(taller < 0, -1.0, 1.0)[..., None]  # an SVD leaves the sign open
-    return directions.movedim(0, -1), float(spread[:count].square().sum() / spread.square().sum())
+    directions = (spread[:_BETAS, None] / (len(points) - 1) ** 0.5 * axes[:_BETAS]).unflatten(1, (-1, 3))
+    taller = directions[..., 1].gather(1, points[0, :, 1].argmax().expand(_BETAS, 1))
+    return (directions * torch.where(taller < 0, -1.0, 1.0)[..., None]).movedim(0, -1)  # an SVD leaves the sign open
 
 
 def _keypoint_vertices(vertices: Tensor, keypoints: dict[str, Tensor]) -> dict[str, int]:

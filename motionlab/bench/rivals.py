@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines
-from motionlab.bench.cases import JOINTS, chosen, restore_known
+from motionlab.bench.cases import chosen, restore_known
 from motionlab.diffusion.denoising import noise_size
 from motionlab.diffusion.features import Layout, Normaliser, units
 from motionlab.diffusion.inpainting import offset_decay
@@ -181,8 +181,3 @@ def tune(name: str, noisy: Motion, truth: Motion) -> dict[str, float]:
     _, grid = FILTERS[name]
     options = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
     return chosen(options, lambda settings: filtered(noisy, name, **settings), truth)
-
-
-def interpolated(motion: Motion, known: Tensor) -> Motion:
-    """Slerp of every joint and a line for the root between the known frames around; the nearest one at the ends."""
-    return baselines.interpolate(motion, known[..., :JOINTS])

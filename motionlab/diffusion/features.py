@@ -94,10 +94,8 @@ class Layout:
 
 def _change(x: Tensor, fps: float) -> Tensor:
     """Forward differences per second (..., T, D); the last frame repeats the one before."""
-    if x.shape[-2] < 2:
-        return torch.zeros_like(x)
-    moved = x.diff(dim=-2) * fps
-    return torch.cat((moved, moved[..., -1:, :]), -2)
+    rate = backward_velocity(x, fps, dim=-2)
+    return torch.cat((rate[..., 1:, :], rate[..., -1:, :]), -2)
 
 
 @dataclass(frozen=True, eq=False)

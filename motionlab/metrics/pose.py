@@ -82,12 +82,6 @@ def mpjpe(predicted: Tensor, truth: Tensor, *, align: str, mask: Tensor | None =
     return masked_mean(joint_errors(predicted, truth, align=align), mask, 2)
 
 
-def mpjpe_visible_occluded(predicted: Tensor, truth: Tensor, visible: Tensor, *, align: str) -> tuple[Tensor, Tensor]:
-    """Computes the mean error (...) in metres of joints that were seen, and that were not; ``visible`` (..., T, J)."""
-    errors = joint_errors(predicted, truth, align=align)
-    return masked_mean(errors, visible, 2), masked_mean(errors, ~visible.bool(), 2)
-
-
 def acceleration(positions: Tensor, fps: float) -> Tensor:
     """Computes the size (..., T - 2, J) of each joint's acceleration in m/s^2, by second differences."""
     check_shape(positions, "... T J 3", "positions")

@@ -11,7 +11,7 @@ import io
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from unittest import mock
 
 import numpy as np
@@ -20,7 +20,7 @@ from PIL import Image
 
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
-from motionlab.viz.movie import Film, Mesh, jpeg, stage
+from motionlab.viz.movie import Film, jpeg, stage
 from motionlab.viz.scene import Scene
 
 _RATE = 25  # steps of the slider per second
@@ -96,28 +96,20 @@ def _trame(scene: Scene):
 
 
 def slider(
-    motions: Motion | Mapping[str, Motion],
-    backend: str | None = None,
-    *,
-    roles: Mapping[str, str] | None = None,
-    body: BodyModel | None = None,
-    things: Sequence[Mesh] = (),
-    ghost: Motion | None = None,
-    size: tuple[int, int] | None = None,
-    follow: bool = True,
-    azimuth: float | None = None,
-):
+    motions: Motion | Mapping[str, Motion], backend: str | None = None, *, roles: Mapping[str, str] | None = None,
+    body: BodyModel | None = None, size: tuple[int, int] | None = None, **view,
+):  # fmt: skip
     """Builds a time slider over motions side by side, with a play button that plays at the speed of life.
 
     Where drawing cannot keep up, frames are skipped; the clock is that of the picture shown.
 
     Args:
-        motions, roles, body, things, ghost, azimuth: as of :func:`motionlab.viz.movie.film`.
+        motions, roles, body: as of :func:`motionlab.viz.movie.film`. view: its things, ghost, follow and azimuth; the
+            eye travels with each motion, if not told otherwise.
         backend: "picture": an image that is drawn anew, with buttons that turn it; "trame": a view that a person turns
             with the mouse, through pyvista's trame back end. By default "trame" where ``$PYVISTA_JUPYTER_BACKEND`` says
             so, as ``make lab`` does, else "picture".
         size: width and height in pixels.
-        follow: the eye travels with each motion instead of standing far enough away.
 
     Returns:
         an ipywidgets box with children (view, controls).
@@ -129,8 +121,7 @@ def slider(
 
     panels = 1 if isinstance(motions, Motion) else len(motions)
     size = size or (640 if panels == 1 else min(420 * panels, 1020), 420)
-    how = {"things": things, "ghost": ghost, "follow": follow, "azimuth": azimuth}
-    shown = Player(*stage(motions, roles, body, size, **how), backend)
+    shown = Player(*stage(motions, roles, body, size, **{"follow": True} | view), backend)
     shown.clock.layout.width = "5em"
     row = [shown.play, shown.hand, shown.clock, *shown.turns]
     return ipywidgets.VBox([shown.view, ipywidgets.HBox(row, layout={"width": f"{size[0]}px"})])

@@ -107,18 +107,16 @@ def _write_gif(path: Path, pictures: Sequence[np.ndarray], fps: float) -> None:
 
 
 def stage(
-    motions: Motion | Mapping[str, Motion],
-    roles: Mapping[str, str] | None = None,
-    body: BodyModel | None = None,
-    size: tuple[int, int] | None = None,
-    *,
-    things: Sequence[Mesh] = (),
-    ghost: Motion | None = None,
-    **view,
-) -> tuple[Scene, float]:
+    motions: Motion | Mapping[str, Motion], roles: Mapping[str, str] | None = None, body: BodyModel | None = None,
+    size: tuple[int, int] | None = None, *, things: Sequence[Mesh] = (), ghost: Motion | None = None, **view,
+) -> tuple[Scene, float]:  # fmt: skip
     """Builds a scene with a floor and one panel per motion; returns it and the seconds until the longest has ended.
 
-    The arguments are those of :func:`film`; ``view`` goes to :class:`~motionlab.viz.scene.Scene`.
+    Args:
+        motions, roles, body: as of :func:`film`.
+        things: what stood there and hid somebody, translucent in every panel: see :func:`meshes`.
+        ghost: a motion that stands, grey and translucent, in every other panel than its own: the truth.
+        view: of :class:`~motionlab.viz.scene.Scene`, as follow and azimuth.
     """
     panels, roles = _cast(motions, roles)
     seconds = max((single(motion).frames - 1) / motion.fps for motion in panels.values())
@@ -147,35 +145,22 @@ def _add(scene: Scene, motion: Motion, role, body: BodyModel | None, ghost: Moti
 
 
 def film(
-    motions: Motion | Mapping[str, Motion],
-    path: str | Path,
-    *,
-    roles: Mapping[str, str] | None = None,
-    body: BodyModel | None = None,
-    things: Sequence[Mesh] = (),
-    ghost: Motion | None = None,
-    size: tuple[int, int] | None = None,
-    fps: float | None = None,
-    speed: float = 1.0,
-    most: int | None = None,
-    follow: bool = False,
-    azimuth: float | None = None,
-    progress: bool | None = None,
-) -> Film:
+    motions: Motion | Mapping[str, Motion], path: str | Path, *, roles: Mapping[str, str] | None = None,
+    body: BodyModel | None = None, size: tuple[int, int] | None = None, fps: float | None = None, speed: float = 1.0,
+    most: int | None = None, progress: bool | None = None, **view,
+) -> Film:  # fmt: skip
     """Writes motions side by side in sync, each under its label, as an MP4 or a GIF.
 
     Args:
         motions: one, or label -> motion. A label that names a role has its colour, others are "ours";
             ``roles`` (label -> role) says otherwise.
         body: a ``BodyModel`` to show its skin instead of the mannequin.
-        things: what stood there and hid somebody, translucent in every panel: see :func:`meshes`.
-        ghost: a motion that stands, grey and translucent, in every other panel than its own: the truth.
         size: of the whole picture; of an MP4 480 x 420 for each motion, of a GIF 480 x 360 for one motion, 320 x 340
             for each of two, 240 x 320 for each of more.
         fps: pictures per second; by default the motion's own rate, 30 at most, and 12.5 in a GIF. speed: times life.
         most: pictures, 300 by default and 60 in a GIF; a longer motion plays faster, and the caption says by how much.
-        follow, azimuth: see :class:`~motionlab.viz.scene.Scene`. A view that follows makes a larger GIF.
         progress: a bar; by default where somebody watches.
+        view: ``things``, ``ghost``, and the eye's ``follow``, ``azimuth``, ``elevation``, as of :func:`stage`.
 
     Raises:
         ShapeError: no motions, a batch of them, or one without frames. KeyError: an unknown role.
@@ -188,8 +173,7 @@ def film(
     fine = 1 if viz.draft else _FINE  # a third faster than a scene that smooths its own edges
     usual = {1: (480, 360), 2: (640, 340)}.get(len(shown), (240 * len(shown), 320))
     width, height = (fine * n for n in size or usual)
-    how = {"things": things, "ghost": ghost, "follow": follow, "azimuth": azimuth}
-    scene, seconds = stage(motions, roles, body, (width, height), **how)
+    scene, seconds = stage(motions, roles, body, (width, height), **view)
     scene.smooth(False)
     count = min(int(seconds / speed * fps + 1e-6) + 1, most)
     pace = max(speed, seconds * fps / most)
@@ -212,16 +196,10 @@ def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
 
 
 def strip(
-    motions: Motion | Mapping[str, Motion],
-    n: int = 8,
-    role: str | tuple = "ours",
-    *,
-    roles: Mapping[str, str] | None = None,
-    body: BodyModel | None = None,
-    ghost: Motion | None = None,
-    size: tuple[int, int] = (1200, 330),
-    azimuth: float | None = None,
-) -> np.ndarray:
+    motions: Motion | Mapping[str, Motion], n: int = 8, role: str | tuple = "ours", *,
+    roles: Mapping[str, str] | None = None, body: BodyModel | None = None, ghost: Motion | None = None,
+    size: tuple[int, int] = (1200, 330), azimuth: float | None = None,
+) -> np.ndarray:  # fmt: skip
     """Draws ``n`` poses evenly through time, side by side in one picture (H, W, 3), each over its time in seconds
     (a single frame has none).
 
@@ -252,17 +230,10 @@ def strip(
 
 
 def pose_row(
-    poses: Mapping[str, Motion | None],
-    targets: Tensor,
-    which: Tensor,
-    roles: Mapping[str, str],
-    *,
-    body: BodyModel | None = None,
-    ghost: Motion | None = None,
-    width: int = 190,
-    height: int = 300,
+    poses: Mapping[str, Motion | None], targets: Tensor, which: Tensor, roles: Mapping[str, str], *,
+    body: BodyModel | None = None, ghost: Motion | None = None, width: int = 190, height: int = 300,
     azimuth: float = 35.0,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Draws a panel per label: a pose (1,) or nothing, a ghost in every other panel than its own, and handles (22,) as
     balls at targets (22, 3): (H, W, 3)."""
     with Scene((width * len(poses), height), panels=tuple(poses), azimuth=azimuth, elevation=8.0) as scene:

@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from motionlab.bench import rivals
+from motionlab.baselines import interpolate
 from motionlab.bench.rivals import RIDGES, Rivals
 from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import Completer, guess
@@ -141,7 +141,7 @@ def _contenders(m: Models, clips: Tensor, draws: int) -> Mapping[str, Contender]
     ours = {"told": False, "rival": False}
     slow = ours | {"draws": 2, "few": _FEW}
     return {
-        "slerp": Contender(lambda x, k, *_: rivals.interpolated(x, k), in_time),
+        "slerp": Contender(lambda x, k, *_: interpolate(x, k[..., :-2]), in_time),
         "curves": Contender(lambda x, k, *_: m.curves(x, k), in_time),
         "nearest": Contender(lambda x, k, how, _: m.rivals.nearest(x, k, how), fades),
         "Gaussian": Contender(lambda x, k, how, _: m.ridge(x, k, how, None), ridges),
