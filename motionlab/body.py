@@ -94,15 +94,13 @@ class BodyModel:
         skeleton = replace(STANDARD, offsets=tensors.pop("offsets"), sole=about["sole"])
         return cls(**tensors, skeleton=skeleton, keypoint_vertices=about["keypoint_vertices"])
 
-    def skeleton_for(self, betas: Tensor | None = None) -> Skeleton:
+    def skeleton_for(self, betas: Tensor) -> Skeleton:
         """Computes the T-pose skeleton of the body that ``betas`` (..., B) describe.
 
         offset_j = bind_rot_parent^T (joint_j - joint_parent), so a bent bind pose comes out straight.
         The sole stays that of betas 0. Betas with batch axes give offsets (..., 1, J, 3), ready for
         :func:`motionlab.skeleton.fk` on (..., T) frames.
         """
-        if betas is None:
-            return self.skeleton
         joints = self.joints.to(betas) + _blend(self.joint_directions, betas)
         offsets = _t_pose_offsets(joints, self.bind_rot, self.skeleton.parents)
         return replace(self.skeleton, offsets=offsets if betas.ndim == 1 else offsets.unsqueeze(-3))

@@ -51,7 +51,7 @@ def test_lbs_agrees_with_the_naive_twin(generator, with_betas, correctives):
     body = random_body(generator, correctives=correctives)
     root, rot = random_pose(generator, 2, 4)
     betas = torch.randn(3, generator=generator, dtype=torch.float64) if with_betas else None
-    skeleton = body.skeleton_for(betas)
+    skeleton = body.skeleton_for(betas) if with_betas else body.skeleton
     found = lbs(body, skeleton, root, rot, betas)
     shape, joints = body.template, body.joints
     if with_betas:

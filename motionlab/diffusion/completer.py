@@ -280,14 +280,12 @@ def save(path: Path | str, model: Completer, about: dict) -> None:
 
 
 def load(path: Path | str) -> Completer:
-    """Reads a model that ships, as "completer", or the one at a path, frozen. A bare name is a file here, if there is
-    one, and else what ships.
+    """Reads a model that ships, as "completer", or the one at a path, frozen.
 
     Raises:
         DataError: a file is missing, damaged, or of another model.
     """
-    ships = isinstance(path, str) and Path(path).name == path and not Path(path).with_suffix(".safetensors").exists()
-    path = checkpoint.SHIPPED / path if ships else Path(path)
-    tensors, about = checkpoint.load(path.with_suffix(".safetensors"))
+    path = checkpoint.shipped(path)
+    tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "completes no motions"):
         return checkpoint.frozen(lambda: Completer(CompleterRecipe.read(about["recipe"])), tensors)

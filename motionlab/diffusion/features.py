@@ -24,7 +24,6 @@ from motionlab.heading import heading_frame, stuck_root
 from motionlab.motion import Motion, backward_velocity
 from motionlab.skeleton import STANDARD, Skeleton
 
-_FRAMES = ("stuck", "world")
 _J, _C = len(STANDARD), len(STANDARD.contact_names)
 UNITS = _J + 2  # of a frame: the joints' rotations, the root's place, contacts
 
@@ -41,8 +40,8 @@ class Layout:
     contacts: bool = True
 
     def __post_init__(self) -> None:
-        if self.frame not in _FRAMES:
-            raise ValueError(f"frame: expected one of {', '.join(_FRAMES)}, got {self.frame!r}")
+        if self.frame not in ("stuck", "world"):
+            raise ValueError(f'frame: expected "stuck" or "world", got {self.frame!r}')
 
     @cached_property
     def slices(self) -> dict[str, slice]:
