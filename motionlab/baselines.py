@@ -1,7 +1,7 @@
 """Fills gaps and smooths motions without a model, as baselines: interpolation, curves, filters.
 
-Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single joints, True where the motion
-may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
+Gaps are given by ``known``: (T,) or, of each clip, (..., T) for whole frames, (..., T, J) for single joints, True where
+the motion may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
 
 ``smooth_curves`` are, number by number, the conditional mean of a Gaussian process in time of Matern covariance 3/2.
 Like cubic splines these have a velocity that does not jump, but far from known entries they come back to zero.
@@ -27,17 +27,13 @@ _NOISE = 1e-5  # of its variance: of what is known, so that every pattern can be
 def _mask(known: Tensor, motion: Motion) -> Tensor:
     """The mask as bool (..., T, J)."""
     frames, joints = motion.rot.shape[-4:-2]
-    known, lead = known.bool(), motion.root.shape[:-1]
-    pairs = zip(reversed(known.shape), reversed(lead), strict=False)
-    by_frame = 0 < known.ndim <= len(lead) and known.shape[-1] == frames and all(k in (1, n) for k, n in pairs)
-    by_joint = known.shape[-2:] == (frames, joints)
-    if by_frame and by_joint:
-        raise ShapeError(f"known {tuple(known.shape)}: frames of each clip, or joints of each frame? Give all axes")
-    if not by_frame and not by_joint:
+    by_frame = known.shape in ((frames,), motion.root.shape[:-1])
+    if not by_frame and known.shape[-2:] != (frames, joints):
         raise ShapeError(f"known: expected (..., {frames}) or (..., {frames}, {joints}), got {tuple(known.shape)}")
-    if not known.any(-1 if by_frame else -2).all():
+    known = (known[..., None] if by_frame else known).bool()
+    if not known.any(-2).all():
         raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")
-    return (known[..., None] if by_frame else known).expand(motion.rot.shape[:-2])
+    return known.expand(motion.rot.shape[:-2])
 
 
 def nearest_known(known: Tensor) -> tuple[Tensor, Tensor]:
@@ -178,18 +174,15 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
     return torch.stack([m[..., 0, 0] for m in reversed(out)], -2).to(x)
 
 
-def _smooth_rotations(rot: Tensor, smoother: Callable[[Tensor], Tensor]) -> Tensor:
-    """Rotations (..., T, J, 3, 3) with ``smoother`` applied to (..., T, 3 J) tangent vectors at each joint's mean. The
-    vectors are made continuous in time, so a joint that spins is followed round."""
-    check_shape(rot, "... T J 3 3", "rot")
-    centre = rotation.mean(rot.movedim(-4, -3))[..., None, :, :, :]
-    tangent = rotation.unroll_axis_angle(rotation.log(centre.mT @ rot), dim=-3)
-    return centre @ rotation.exp(smoother(tangent.flatten(-2)).unflatten(-1, (-1, 3)))
-
-
 def smooth(motion: Motion, smoother: Callable[[Tensor], Tensor]) -> Motion:
-    """Smooths a motion's root positions and joint rotations by ``smoother``, (..., T, D) -> (..., T, D)."""
-    return replace(motion, root=smoother(motion.root), rot=_smooth_rotations(motion.rot, smoother), contacts=None)
+    """Smooths a motion's root positions and joint rotations by ``smoother``, (..., T, D) -> (..., T, D).
+
+    Rotations as tangent vectors at each joint's mean, continuous in time, so a joint that spins is followed round.
+    """
+    centre = rotation.mean(motion.rot.movedim(-4, -3))[..., None, :, :, :]
+    tangent = rotation.unroll_axis_angle(rotation.log(centre.mT @ motion.rot), dim=-3)
+    rot = centre @ rotation.exp(smoother(tangent.flatten(-2)).unflatten(-1, (-1, 3)))
+    return replace(motion, root=smoother(motion.root), rot=rot, contacts=None)
 
 
 def smoothed(motion: Motion, window: int) -> Motion:

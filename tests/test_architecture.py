@@ -12,9 +12,10 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = """
     errors examples parallel
     diffusion.sampling files optimise rotation skeleton
-    body checkpoint motion rigs
+    checkpoint motion rigs
+    body
     baselines cleaning contact heading humanml ik observation rest skinning tailoring
-    data_synth diffusion.encoder diffusion.features diffusion.state humor.body_shape humor.state io
+    data_synth diffusion.encoder diffusion.features humor.body_shape humor.state io
         metrics retarget viz
     splits
     corpus diffusion.completer diffusion.denoising diffusion.model diffusion.windows humor.cvae

@@ -12,11 +12,10 @@ from motionlab.baselines import smooth_curves
 from motionlab.bench import cases, judge
 from motionlab.bench.cases import PersonWindows
 from motionlab.contact import with_contacts
-from motionlab.diffusion import completer, state
+from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import Completer, CompleterRecipe
 from motionlab.diffusion.denoising import Noise, smoothed
-from motionlab.diffusion.features import Layout
-from motionlab.diffusion.windows import draw_units, gather, on_standard, units
+from motionlab.diffusion.windows import draw_units, gather, on_standard
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
@@ -76,8 +75,8 @@ def hidden_changed(motion: Motion, known: torch.Tensor) -> Motion:
 # ------------------------------------------------------------------------------------------------------ state
 def test_the_state_is_what_a_loop_over_frames_gives(windows):
     motion = windows.clip(0)
-    found, p = state.rows(motion).numpy(), motion.positions.numpy()
-    parts = np.split(found, np.cumsum(list(state._SIZES.values()))[:-1], axis=-1)
+    found, p = features.states(motion).numpy(), motion.positions.numpy()
+    parts = np.split(found, np.cumsum(list(features._SIZES.values()))[:-1], axis=-1)
     before = None
     for t in range(FRAMES):
         right = -motion.rot[t, 0, :2, 0].numpy()
@@ -95,18 +94,17 @@ def test_the_state_is_what_a_loop_over_frames_gives(windows):
 
 
 def test_numbers_go_there_and_back_and_belong_to_the_units_of_the_masks(windows):
-    back = state.motion_of(state.made(windows), windows)
+    back = features.motion_of(features.made(windows), windows)
     assert (back.positions - windows.positions).abs().max() < 1e-5
     assert torch.equal(back.contacts, windows.contacts)
-    assert torch.equal(state.owners(), units(Layout()))
     with pytest.raises(DataError, match="contacts"):
-        state.rows(replace(windows, contacts=None))
+        features.states(replace(windows, contacts=None))
 
 
 def test_open_places_are_those_that_an_unknown_part_moves(windows):
     motion = windows.clip(slice(0, 1))
-    for unit in range(state.UNITS - 1):
-        known = torch.ones(1, FRAMES, state.UNITS, dtype=torch.bool)
+    for unit in range(features.UNITS - 1):
+        known = torch.ones(1, FRAMES, features.UNITS, dtype=torch.bool)
         known[..., unit] = False
         rot, root = motion.rot.clone(), motion.root.clone()
         if unit < len(STANDARD):
@@ -114,15 +112,15 @@ def test_open_places_are_those_that_an_unknown_part_moves(windows):
         else:
             root = root + 0.1
         moved = (replace(motion, rot=rot, root=root).positions - motion.positions).norm(dim=-1) > 1e-5
-        assert torch.equal(moved, state.open_places(known)), unit
+        assert torch.equal(moved, features.open_places(known)), unit
 
 
 # --------------------------------------------------------------------------------------------------- completer
 def test_curves_are_smooth_curves_through_what_is_known(windows, known):
-    mean, scale = torch.randn(2, state.MADE, generator=torch.Generator().manual_seed(1)).abs() + 0.5
-    columns, numbers = known[..., state.owners()], (state.made(windows) - mean) / scale
-    plain = torch.where(columns, numbers, smooth_curves(numbers, columns, torch.arange(state.MADE))) * scale + mean
-    plain = state.made(state.motion_of(plain, windows))
+    mean, scale = torch.randn(2, features.MADE, generator=torch.Generator().manual_seed(1)).abs() + 0.5
+    columns, numbers = known[..., features.OWNERS], (features.made(windows) - mean) / scale
+    plain = torch.where(columns, numbers, smooth_curves(numbers, columns, torch.arange(features.MADE))) * scale + mean
+    plain = features.made(features.motion_of(plain, windows))
     assert (completer.guess(windows, known, mean, scale) - plain).abs().max() < 1e-4
 
 
@@ -173,13 +171,13 @@ def test_it_learns_what_curves_do_not_know(data):
 
 def test_nothing_is_learnt_of_joints_that_were_not_recorded(windows):
     """Their rotations are made up: the loss does not see them. Of the joints above them it sees the places."""
-    known = torch.zeros(6, FRAMES, state.UNITS, dtype=torch.bool)
-    seen = torch.ones(6, state.UNITS, dtype=torch.bool)
+    known = torch.zeros(6, FRAMES, features.UNITS, dtype=torch.bool)
+    seen = torch.ones(6, features.UNITS, dtype=torch.bool)
     wrist = STANDARD.index("left_wrist")
     seen[:, [STANDARD.index("left_elbow"), wrist]] = False
     rot = windows.rot.clone()
     rot[:, :, [STANDARD.index("left_elbow"), wrist]] = torch.eye(3)
-    other, scale = replace(windows, rot=rot), torch.ones(state.MADE)
+    other, scale = replace(windows, rot=rot), torch.ones(features.MADE)
     parts = losses(other, windows, known, seen, scale)
     assert max(float(parts[name]) for name in ("places", "moves", "rotations")) < 2e-3
     rot[:, :, STANDARD.index("left_shoulder")] = torch.eye(3)
@@ -222,11 +220,11 @@ def test_noise_is_a_turn_from_the_truth(data, windows, known):
 def test_noise_moves_as_motion_does():
     """It vanishes where a unit is known, and its amplitude falls with the square of the frequency; that of noise that
     is new in every frame does not."""
-    known, fps = torch.zeros(400, 60, state.UNITS, dtype=torch.bool), 30.0
+    known, fps = torch.zeros(400, 60, features.UNITS, dtype=torch.bool), 30.0
     free = completer.motion_noise(known, fps, torch.Generator().manual_seed(0))[..., 3:] / completer._LOUD
     known[:, :10], known[:, 50:] = True, True
     gap = completer.motion_noise(known, fps, torch.Generator().manual_seed(0))
-    assert not gap[known[..., state.owners()]].any() and 0.3 < gap[:, 30, 3:].std() < 1.2
+    assert not gap[known[..., features.OWNERS]].any() and 0.3 < gap[:, 30, 3:].std() < 1.2
     white, wave = torch.randn(free.shape, generator=torch.Generator().manual_seed(1)), torch.arange(60.0)
     cosines = torch.cos(torch.pi / 60 * (wave + 0.5) * wave[:, None])
     four, eight, flat, flat_too = (((cosines[k] @ x).std()) for x in (free, white) for k in (16, 32))
@@ -237,17 +235,17 @@ def test_draws_of_an_exact_model_are_draws_of_the_gaussian(data, windows, monkey
     """With r ~ N(m, s^2) in every number the best estimate from x at angle a is known; DDIM then gives back mean and
     deviation. One that ignores x does not."""
     model, m, s = Completer(replace(TINY, diffusion=True)).eval(), 0.3, 0.7
-    known = torch.zeros(6, FRAMES, state.UNITS, dtype=torch.bool)
+    known = torch.zeros(6, FRAMES, features.UNITS, dtype=torch.bool)
 
     def exact(motion, begun, known, x, angle):
         a = angle[:, None, None]
         share = a.cos() * s**2 / (a.cos().square() * s**2 + (a.sin() * completer._LOUD).square())
         return m + share * (x - a.cos() * m)
 
-    size = (6, FRAMES, state.MADE)
+    size = (6, FRAMES, features.MADE)
     monkeypatch.setattr(model, "_begun", lambda *_: (torch.zeros(size), torch.ones(size, dtype=torch.bool)))
-    monkeypatch.setattr(state, "motion_of", lambda numbers, like: numbers)
-    monkeypatch.setattr(state, "made", lambda numbers: numbers)
+    monkeypatch.setattr(completer, "motion_of", lambda numbers, like: numbers)
+    monkeypatch.setattr(completer, "made", lambda numbers: numbers)
     found = []
     for estimate in (exact, lambda motion, begun, known, x, angle: torch.full_like(x, m)):
         monkeypatch.setattr(model, "_added", estimate)
@@ -259,10 +257,10 @@ def test_draws_of_an_exact_model_are_draws_of_the_gaussian(data, windows, monkey
 def test_how_long_a_models_six_numbers_are_does_not_matter(data, windows, known, monkeypatch):
     """Only their directions were ever asked of it: twice as long on the way, they draw the same."""
     model, (local, _) = CompleterTraining(replace(TINY, diffusion=True), data).averaged, stuck_root(windows)
-    truth, scale = state.made(local), model.sizes[1]
+    truth, scale = features.made(local), model.sizes[1]
     drawn = []
     for long, seed in ((1.0, 0), (2.0, 0), (1.0, 1)):
-        six = torch.ones(state.MADE)
+        six = torch.ones(features.MADE)
         six[3 : 3 + 6 * 22] = long
 
         def half_way(motion, begun, told, x, angle, six=six):
@@ -297,7 +295,7 @@ def test_smoothed_windows_and_the_truth_are_shown_in_one_frame_of_reference(data
 
 def test_what_was_smoothed_stays_where_nothing_is_added(windows):
     """Where a completer that is not for that forgets it, as nothing of it is known."""
-    nothing = torch.zeros(*windows.root.shape[:2], state.UNITS, dtype=torch.bool)
+    nothing = torch.zeros(*windows.root.shape[:2], features.UNITS, dtype=torch.bool)
     for rough, least, most in ((True, 0.0, 1e-5), (False, 0.1, 10.0)):
         model, told = Completer(replace(TINY, refines=rough)), {"tremble": 0.02} if rough else {}
         made = model.complete(windows, nothing, **told)
@@ -320,7 +318,7 @@ def test_windows_are_drawn_evenly_by_person(motions):
 def people(motions):
     whole = gather([on_standard(m) for m in motions], judge.FRAMES).evenly(4)
     motion = replace(whole, skeleton=STANDARD)
-    return PersonWindows(motion, torch.tensor([0, 0, 1, 1]), torch.zeros(4, 1, state.UNITS, dtype=torch.bool))
+    return PersonWindows(motion, torch.tensor([0, 0, 1, 1]), torch.zeros(4, 1, features.UNITS, dtype=torch.bool))
 
 
 def test_the_truth_is_judged_as_the_truth_and_nobody_else(people):

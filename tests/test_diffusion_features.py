@@ -7,8 +7,7 @@ import torch
 
 from data_synth import scenes
 from motionlab import rotation
-from motionlab.diffusion import windows
-from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.features import Layout, Normaliser, units
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
 
@@ -54,7 +53,7 @@ def test_a_joint_s_numbers_are_those_that_it_turns(motion):
     """Changing its numbers moves the joint's children and nothing else; its velocity belongs to it."""
     layout = Layout(frame="world", velocities=True)
     rows = layout.encode(motion)
-    owners = windows.units(layout)
+    owners = units(layout)
     mask, of = owners == motion.skeleton.index("left_elbow"), {n: owners[part] for n, part in layout.slices.items()}
     found = layout.decode(torch.where(mask, rows + 0.3, rows), 30.0, motion.skeleton)
     moved = (found.positions - motion.positions).norm(dim=-1).amax((0, 1))

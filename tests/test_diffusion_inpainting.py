@@ -51,9 +51,9 @@ def test_the_known_part_is_noised_to_the_step_before(generator):
     assert torch.equal(after(torch.zeros_like(known), known, 0)[:, :8], known[:, :8])
 
 
-def test_imputed_estimates_end_exact(data, denoise, generator):
+def test_guided_estimates_end_exact(data, denoise, generator):
     known = curves(data, 5, generator)
-    x = made(inpainting._impute(denoise, known, M), None, 5, generator)
+    x = made(inpainting._guided(denoise, SCHEDULE, known, M, 1.0), None, 5, generator)
     assert (x[:, :8] - known[:, :8]).abs().max() < 1e-12 and (x[:, 12] - known[:, 12]).abs().max() > 1e-3
 
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import nn
 
-from motionlab.diffusion import inpainting, windows
-from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion import inpainting
+from motionlab.diffusion.features import Normaliser, units
 from motionlab.diffusion.inpainting import Inpainting
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.windows import gather, on_standard
@@ -16,8 +16,7 @@ from motionlab.skeleton import STANDARD
 
 WAYS = {
     "eq. 4.10": Inpainting(),
-    "imputed": Inpainting(known="impute"),
-    "guided": Inpainting(known="impute", guidance_weight=1.0),
+    "guided": Inpainting(guidance_weight=1.0),
     "soft": Inpainting(mask_ramp=2, replace_last=False, blend_frames=4),  # else held values would be blended in
     "finish": Inpainting(replace_last=False, blend_frames=4),
 }
@@ -65,7 +64,7 @@ def test_with_a_perfect_denoiser_every_way_returns_the_truth_where_it_was(motion
 @pytest.mark.parametrize("way", WAYS)
 def test_hidden_numbers_are_never_read(motion, way):
     model = model_of(motion)
-    known = torch.isin(windows.units(model.layout), torch.tensor(STANDARD.indices(["spine1", "spine2", "neck"])))
+    known = torch.isin(units(model.layout), torch.tensor(STANDARD.indices(["spine1", "spine2", "neck"])))
     known = known.expand(12, -1)
     x0 = model.encode(motion)
     spoilt = torch.where(known, x0, float("nan"))
@@ -101,5 +100,3 @@ def test_what_makes_no_sense_is_refused(motion, generator):
     model = model_of(motion)
     with pytest.raises(ShapeError, match="known"):
         inpainting.inpaint(model, motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)
-    with pytest.raises(ValueError, match="replace"):
-        Inpainting(known="paste")

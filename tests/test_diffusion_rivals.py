@@ -32,7 +32,7 @@ def fitted(takes):
     return Rivals.fit(takes[0], torch.Generator().manual_seed(0), parts=24)
 
 
-WAYS = ("mean", "nearest", "regression")
+WAYS = ("nearest", "regression")
 
 
 @pytest.mark.parametrize("ridge", [0.01, 1.0])
@@ -106,4 +106,4 @@ def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way
 
 def test_a_window_may_not_be_told_of_another_ones_mask(takes, fitted):
     with pytest.raises(ShapeError, match="windows"):
-        fitted.mean(takes[1], cases.legs(5, FRAMES))
+        fitted.nearest(takes[1], cases.legs(5, FRAMES))

@@ -9,9 +9,8 @@ import torch
 
 from motionlab import checkpoint
 from motionlab.__main__ import main
-from motionlab.diffusion import windows
-from motionlab.diffusion.features import Normaliser
-from motionlab.diffusion.model import SIZES, DenoiserRecipe, LossWeights, load_denoiser, motion_model, save_denoiser
+from motionlab.diffusion.features import Normaliser, units
+from motionlab.diffusion.model import LOSS_WEIGHTS, SIZES, DenoiserRecipe, load_denoiser, motion_model, save_denoiser
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError
 from motionlab.skeleton import STANDARD
@@ -44,7 +43,7 @@ def test_a_joint_that_no_recording_has_is_not_learnt(motions, joint):
         SMALL, gather([on_standard(m) for m in motions], SMALL.frames, missing=[(joint,)] * 2)
     )
     lost = STANDARD.indices([joint, joint.replace("left", "right")])
-    mine = torch.isin(windows.units(run.layout), torch.tensor(lost))
+    mine = torch.isin(units(run.layout), torch.tensor(lost))
     out = run.model.output_process.poseFinal.weight
     before = out.detach().clone()
     run.run(until=4)
@@ -74,7 +73,7 @@ def test_a_run_does_not_go_on_with_other_windows(motions, data, tmp_path):
 
 
 def test_the_loss_is_the_weighted_sum_of_its_parts(data):
-    weights = LossWeights(fk=2.0, velocity=0.5, contact=7.0)
+    weights = LOSS_WEIGHTS | {"fk": 2.0, "velocity": 0.5, "contact": 7.0}
     row = denoiser_training.DenoiserTraining(replace(SMALL, weights=weights), data).advance()
     parts = row["simple"] + 2 * row["fk"] + 0.5 * row["velocity"] + 7 * row["contact"]
     assert row["loss"] == pytest.approx(parts, rel=1e-5)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from motionlab.diffusion import windows
-from motionlab.diffusion.state import UNITS
+from motionlab.diffusion.features import UNITS
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics.gait import slide_in_contact_mm
 from motionlab.motion import fix_root_horizontally, mirror

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from motionlab import checkpoint
-from motionlab.diffusion import state
+from motionlab.diffusion import features
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.model import LossWeights
-from motionlab.diffusion.windows import draw_units, gather, on_standard, units
+from motionlab.diffusion.features import Layout, Normaliser, units
+from motionlab.diffusion.model import LOSS_WEIGHTS
+from motionlab.diffusion.windows import draw_units, gather, on_standard
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
@@ -59,7 +59,7 @@ def model(noised: bool, of: Motion) -> Completer:
     torch.manual_seed(0)
     made = Completer(CompleterRecipe(size=64, layers=1, diffusion=noised))
     torch.nn.init.normal_(made.said.weight, std=0.02)
-    mean, scale = state.sizes(state.rows(of))
+    mean, scale = features.sizes(features.states(of))
     made.mean.copy_(mean), made.scale.copy_(scale)
     return made
 
@@ -71,7 +71,7 @@ def test_the_completers_loss_is_the_librarys(noised, batch, k):
     net = model(noised, truth)
     angle, noise = (
         torch.rand(COUNT, generator=draws) * math.pi / 2,
-        torch.randn(COUNT, steps.T, state.MADE, generator=draws),
+        torch.randn(COUNT, steps.T, features.MADE, generator=draws),
     )
     told = (angle, noise) if noised else ()
     made = net.filled(truth, known, *told)
@@ -84,18 +84,17 @@ def test_the_completers_loss_is_the_librarys(noised, batch, k):
 
 
 def test_the_plain_loss_is_the_librarys(batch, k):
-    some, layout, counts = batch[0], Layout(), LossWeights()
+    some, layout = batch[0], Layout()
     rows = layout.encode(motion(some))
     normaliser = Normaliser.measure(rows, layout)
     truth, seen = normaliser.apply(rows), some[3][:, units(layout)]
     said = truth + 0.1 * torch.randn(truth.shape, generator=torch.Generator().manual_seed(2))
     names = ("simple", "velocity", "fk", "contact")
     parts = denoising_losses(said, truth, layout, normaliser, STANDARD.offsets[None], parts=names, seen=seen)
-    expected = sum(getattr(counts, name) * part for name, part in parts.items())
-    each = {name: getattr(counts, name) for name in names}
-    made = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, each, seen, k)
+    expected = sum(LOSS_WEIGHTS[name] * part for name, part in parts.items())
+    made = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, LOSS_WEIGHTS, seen, k)
     assert torch.allclose(made, expected, rtol=1e-5)
-    other = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, each, torch.zeros_like(seen), k)
+    other = steps.plain_loss(said, truth, normaliser.mean, normaliser.scale, LOSS_WEIGHTS, torch.zeros_like(seen), k)
     assert not torch.allclose(other, expected, rtol=1e-1)  # control: nothing was recorded
 
 

@@ -147,7 +147,7 @@ def test_a_gif_keeps_its_time_and_its_pixels(tmp_path):
         picture[10:20, 5 * k : 5 * k + 10] = generator.choice([0, 90, 200], 3)
     pictures[4] = pictures[3].copy()  # a frame in which nothing moves still takes its time
     path = tmp_path / "a.gif"
-    frames, fps, size = write_film(pictures, path, 30.0)
+    assert write_film(pictures, path, 30.0, 0.2).seconds == 0.2
     shown = []
     with Image.open(path) as film:
         for k in range(film.n_frames):
@@ -155,13 +155,6 @@ def test_a_gif_keeps_its_time_and_its_pixels(tmp_path):
             shown += [np.asarray(film.convert("RGB"))] * round(film.info["duration"] / 33)  # a still one lasts longer
         assert film.info["loop"] == 0
     np.testing.assert_array_equal(shown, pictures)
-    assert frames == 7 and fps == 30.0 and size == path.stat().st_size
-
-
-def test_a_gif_over_its_budget_loses_frames_but_not_its_length(tmp_path):
-    noise = np.random.default_rng(0).integers(0, 255, (6, 50, 50, 3), dtype=np.uint8)
-    frames, fps, _ = write_film(list(noise), tmp_path / "n.gif", 12.0, budget=1)
-    assert frames == 2 and frames / fps == pytest.approx(0.5)
 
 
 def test_a_slider_moves_the_picture():
@@ -178,9 +171,7 @@ def test_a_slider_moves_the_picture():
     right.click()
     assert view.value == before
     assert play.max == hand.max and play.interval * play.max == pytest.approx(700, rel=0.05)  # as fast as life
-    one, three = (slider(m, "static") for m in (standing(), dict.fromkeys(("truth", "rival", "ours"), standing())))
-    assert three.shape == (3 * one.shape[0], *one.shape[1:])
-    with pytest.raises(ValueError, match="static, picture, trame"):
+    with pytest.raises(ValueError, match="picture, trame"):
         slider(standing(), "hologram")
 
 
@@ -378,11 +369,11 @@ def test_bad_input_says_what_is_wrong(tmp_path):
     with pytest.raises(ShapeError, match="no motions"):
         film({}, tmp_path / "x.gif")
     with pytest.raises(ValueError, match=r"\.gif or \.mp4"):
-        write_film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "x.webm", 10)
+        write_film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "x.webm", 10, 1.0)
     with pytest.raises(ValueError, match="50 at most"):
-        write_film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "x.gif", 120)
+        write_film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "x.gif", 120, 1.0)
     with pytest.raises(ShapeError, match="no pictures"):
-        write_film([], tmp_path / "x.gif", 10)
+        write_film([], tmp_path / "x.gif", 10, 1.0)
     camera = look_at(torch.tensor([3.0, 0.0, 1.0]), torch.zeros(3), focal=100, width=160, height=120)
     with pytest.raises(ShapeError, match="size"):
         Scene((100, 100), camera=camera)

@@ -43,7 +43,7 @@ def test_a_film_has_a_frame_for_each_of_the_footage(tmp_path, body):
         [motion], CAMERA, pictures, tmp_path / "film.mp4", body, roles=["ours"], seen=[seen], area=19200
     )
     found = video.open_video(tmp_path / "film.mp4")
-    assert (found.frames, found.fps) == (4, 25.0) == (film.frames, film.fps) and film.poster[:2] == b"\xff\xd8"
+    assert (found.frames, found.fps, film.seconds) == (4, 25.0, 0.16) and film.poster[:2] == b"\xff\xd8"
     corners = [int(picture[110, 5].mean()) for picture in found.pictures(range(4))]
     assert np.abs(np.array(corners) - [0, 60, 120, 180]).max() < 12
 

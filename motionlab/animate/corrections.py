@@ -65,7 +65,7 @@ class Rig:
     """A motion of any skeleton, as drawn by curves, on the 22 joints in its own proportions; and the way back.
 
     drawn: on its own joints. joints: the same on the 22, feet on the floor. found: how it was retargeted. lift: metres
-    that it was raised. mapped: standard joint -> own joint. known (T, 22 + 2): units (``windows.units``) that are kept.
+    that it was raised. mapped: standard joint -> own joint. known (T, 22 + 2): units (of ``features``) that are kept.
     """
 
     motion: Motion

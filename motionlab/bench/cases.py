@@ -2,7 +2,7 @@
 was filled in fits.
 
 What is known is said once, for every model and rival: bool (B, T, U) over the units of a frame, which are the joints'
-rotations, then the root's place, then the contacts (``windows.units``). The root's place goes with the pelvis.
+rotations, then the root's place, then the contacts (``features.units``). The root's place goes with the pelvis.
 
 Source: thesis 4.2.1. Differs: numbers instead of looking.
 """
@@ -16,8 +16,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from motionlab.corpus import Take
-from motionlab.diffusion.features import Layout
-from motionlab.diffusion.windows import LEGS, gather, on_standard, units
+from motionlab.diffusion.windows import LEGS, gather, on_standard
 from motionlab.errors import DataError, ShapeError
 from motionlab.metrics.gait import slide_where_truth_stands_mm
 from motionlab.metrics.pose import joint_errors, mean_acceleration
@@ -110,13 +109,6 @@ def keys(count: int, frames: int, apart: int) -> Tensor:
 
 def _with_root(joints: Tensor) -> Tensor:
     return torch.cat((joints, joints[..., :1], torch.zeros_like(joints[..., :1])), -1)
-
-
-def columns(layout: Layout, known: Tensor) -> Tensor:
-    """The same by the numbers of a layout: (B, T, U) -> (B, T, D)."""
-    if known.shape[-1] != JOINTS + 2:
-        raise ShapeError(f"known: expected {JOINTS + 2} units in a frame, got {tuple(known.shape)}")
-    return known[..., units(layout)]
 
 
 # ----------------------------------------------------------------------------------------------- how it went

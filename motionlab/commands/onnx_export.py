@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.baselines import curve_weights
-from motionlab.diffusion import state
+from motionlab.diffusion import features
 from motionlab.diffusion.completer import Completer, load
 from motionlab.errors import DataError, MissingData
 from motionlab.heading import local_to_world, stuck_root
@@ -40,13 +40,13 @@ class _Gaps(nn.Module):
         none = torch.zeros_like(root[..., :1]).expand(-1, -1, len(STANDARD.contact_names))
         local, frame = stuck_root(Motion(STANDARD, root, rotations, FPS, none))
         mean, scale = model.sizes
-        units = whole & (torch.arange(state.UNITS) < state.UNITS - 1)
-        numbers = torch.where(units[..., state.owners()], (state.made(local) - mean) / scale, 0.0)
+        units = whole & (torch.arange(features.UNITS) < features.UNITS - 1)
+        numbers = torch.where(units[..., features.OWNERS], (features.made(local) - mean) / scale, 0.0)
         begun = (curves @ numbers) * scale + mean
-        begun = torch.where(units[..., state.owners()], state.made(local), begun)
-        begun = state.made(state.motion_of(begun, local))
-        states = state.rows(state.motion_of(begun, local))
-        made = local_to_world(frame, state.motion_of(begun + model(states, units, FPS) * scale, local))
+        begun = torch.where(units[..., features.OWNERS], features.made(local), begun)
+        begun = features.made(features.motion_of(begun, local))
+        states = features.states(features.motion_of(begun, local))
+        made = local_to_world(frame, features.motion_of(begun + model(states, units, FPS) * scale, local))
         return torch.where(whole, root, made.root), torch.where(whole[..., None, None], rotations, made.rot)
 
 

@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from motionlab import checkpoint
 from motionlab.baselines import smooth_curves
-from motionlab.diffusion import state
+from motionlab.diffusion.features import MADE, MADE_AT, OWNERS, SIZE, UNITS, made, motion_of, states
 from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
@@ -92,22 +92,22 @@ class Completer(nn.Module):
         if recipe.frames % recipe.patch:
             raise ValueError(f"{recipe.frames} frames do not divide into tokens of {recipe.patch}")
         self.recipe, size = recipe, recipe.size
-        self.taken = nn.Linear((state.SIZE + state.UNITS + _TIMES) * recipe.patch, size)
+        self.taken = nn.Linear((SIZE + UNITS + _TIMES) * recipe.patch, size)
         if recipe.diffusion:
-            self.noisy, self.angle = nn.Linear(state.MADE * recipe.patch, size), nn.Linear(2 * _WAVES, size)
+            self.noisy, self.angle = nn.Linear(MADE * recipe.patch, size), nn.Linear(2 * _WAVES, size)
         self.place = nn.Parameter(torch.randn(recipe.frames // recipe.patch, size) * 0.02)
         how = {"dropout": 0.0, "activation": "gelu", "norm_first": True, "batch_first": True}
         layer = nn.TransformerEncoderLayer(size, max(4, size // 64), 2 * size, **how)
         self.encoder = nn.TransformerEncoder(layer, recipe.layers, nn.LayerNorm(size), enable_nested_tensor=False)
-        self.said = nn.Linear(size, state.MADE * recipe.patch)
+        self.said = nn.Linear(size, MADE * recipe.patch)
         nn.init.zeros_(self.said.weight), nn.init.zeros_(self.said.bias)
-        self.register_buffer("mean", torch.zeros(state.SIZE))
-        self.register_buffer("scale", torch.ones(state.SIZE))
+        self.register_buffer("mean", torch.zeros(SIZE))
+        self.register_buffer("scale", torch.ones(SIZE))
 
     @property
     def sizes(self) -> tuple[Tensor, Tensor]:
         """Mean and scale (``MADE``,) of what is made."""
-        return self.mean[state.MADE_AT], self.scale[state.MADE_AT]
+        return self.mean[MADE_AT], self.scale[MADE_AT]
 
     def forward(
         self, states: Tensor, known: Tensor, fps: float, noisy: Tensor | None = None, angle: Tensor | None = None,
@@ -124,7 +124,7 @@ class Completer(nn.Module):
             tokens = tokens + self.noisy(noisy.unflatten(1, (-1, self.recipe.patch)).flatten(2))
             tokens = tokens + self.angle(torch.cat((waves.sin(), waves.cos()), -1))[:, None]
         said = self.said(self.encoder(tokens)).unflatten(2, (self.recipe.patch, -1)).flatten(1, 2)
-        return binomial_smoothed(said * ~known[..., state.owners().to(known.device)])
+        return binomial_smoothed(said * ~known[..., OWNERS.to(known.device)])
 
     def filled(
         self, motion: Motion, known: Tensor, angle: Tensor | None = None, noise: Tensor | None = None,
@@ -138,26 +138,26 @@ class Completer(nn.Module):
         scale, shown = self.sizes[1], None
         if angle is not None:
             turned = angle[:, None, None]
-            shown = (turned.cos() * (state.made(motion) - begun) / scale + turned.sin() * noise) * open_
+            shown = (turned.cos() * (made(motion) - begun) / scale + turned.sin() * noise) * open_
         elif self.recipe.diffusion:
             angle, shown = torch.full((len(begun),), math.pi / 2).to(begun), torch.zeros_like(begun)
-        return state.motion_of(begun + self._added(motion, begun, known, shown, angle, tremble) * scale * open_, motion)
+        return motion_of(begun + self._added(motion, begun, known, shown, angle, tremble) * scale * open_, motion)
 
     def _begun(self, motion: Motion, known: Tensor) -> tuple[Tensor, Tensor]:
         """The guess (B, T, ``MADE``), and which of its numbers are open."""
-        if motion.frames != self.recipe.frames or known.shape != (*motion.root.shape[:2], state.UNITS):
-            want = f"windows of {self.recipe.frames} frames, and {state.UNITS} units of each"
+        if motion.frames != self.recipe.frames or known.shape != (*motion.root.shape[:2], UNITS):
+            want = f"windows of {self.recipe.frames} frames, and {UNITS} units of each"
             raise ShapeError(f"expected {want}, got {tuple(motion.root.shape)} and {tuple(known.shape)}")
-        begun = state.made(motion) if self.recipe.refines else guess(motion, known, *self.sizes)
-        return begun, ~known[..., state.owners().to(known.device)]
+        begun = made(motion) if self.recipe.refines else guess(motion, known, *self.sizes)
+        return begun, ~known[..., OWNERS.to(known.device)]
 
     def _added(
         self, motion: Motion, begun: Tensor, known: Tensor, shown: Tensor | None, angle: Tensor | None,
         tremble: Tensor | None = None,
     ) -> Tensor:  # fmt: skip
-        states = state.rows(state.motion_of(begun, motion))
+        seen = states(motion_of(begun, motion))
         with torch.autocast(begun.device.type, torch.bfloat16, enabled=self.halves):
-            said = self(states, known, motion.fps, shown, angle, tremble).float()
+            said = self(seen, known, motion.fps, shown, angle, tremble).float()
         return said if angle is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
 
     def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
@@ -167,13 +167,13 @@ class Completer(nn.Module):
         angles = shifted_angles(torch.linspace(math.pi / 2, 0.0, steps + 1))
         for a, after in zip(angles[:-1].tolist(), angles[1:].tolist(), strict=True):
             added = self._added(motion, begun, known, x, torch.full((len(x),), a).to(x)) * open_
-            whole = state.motion_of(begun + added * self.sizes[1], motion)
-            added = (state.made(whole) - begun) / self.sizes[1] * open_  # as in training, of 6-D numbers in order
+            whole = motion_of(begun + added * self.sizes[1], motion)
+            added = (made(whole) - begun) / self.sizes[1] * open_  # as in training, of 6-D numbers in order
             noise = (x - math.cos(a) * added) / math.sin(a)
             x = math.cos(after) * added + math.sin(after) * noise
         for _ in range(2):  # a little noise is left
             x = binomial_smoothed(x) * open_
-        return state.motion_of(begun + x * self.sizes[1], motion)
+        return motion_of(begun + x * self.sizes[1], motion)
 
     @torch.no_grad()
     def complete(
@@ -242,9 +242,9 @@ def motion_noise(known: Tensor, fps: float, generator: torch.Generator) -> Tenso
     taken away, as it is of the motion.
     """
     count, frames = known.shape[:2]
-    noise = motion_waves(frames, fps) @ torch.randn(count, frames, state.MADE, generator=generator)
-    noise *= noise.new_tensor([_ROOT] * 3 + [_LOUD] * (state.MADE - 3))
-    return noise - smooth_curves(noise, known.cpu(), state.owners())
+    noise = motion_waves(frames, fps) @ torch.randn(count, frames, MADE, generator=generator)
+    noise *= noise.new_tensor([_ROOT] * 3 + [_LOUD] * (MADE - 3))
+    return noise - smooth_curves(noise, known.cpu(), OWNERS)
 
 
 def motion_waves(frames: int, fps: float) -> Tensor:
@@ -259,8 +259,8 @@ def motion_waves(frames: int, fps: float) -> Tensor:
 
 def guess(motion: Motion, known: Tensor, mean: Tensor, scale: Tensor) -> Tensor:
     """Computes the numbers (B, T, ``MADE``) of smooth curves through what is known, the mean where nothing is."""
-    drawn = smooth_curves((state.made(motion) - mean) / scale, known, state.owners().to(known.device)) * scale + mean
-    return state.made(state.motion_of(drawn, motion))  # 6-D numbers of rotations, not short ones
+    drawn = smooth_curves((made(motion) - mean) / scale, known, OWNERS.to(known.device)) * scale + mean
+    return made(motion_of(drawn, motion))  # 6-D numbers of rotations, not short ones
 
 
 def time_to_known(known: Tensor, fps: float) -> Tensor:
@@ -280,14 +280,12 @@ def save(path: Path | str, model: Completer, about: dict) -> None:
 
 
 def load(path: Path | str) -> Completer:
-    """Reads a model that ships, as "completer", or the one at a path, frozen. A bare name is a file here, if there is
-    one, and else what ships.
+    """Reads a model that ships, as "completer", or the one at a path, frozen.
 
     Raises:
         DataError: a file is missing, damaged, or of another model.
     """
-    ships = isinstance(path, str) and Path(path).name == path and not Path(path).with_suffix(".safetensors").exists()
-    path = checkpoint.SHIPPED / path if ships else Path(path)
-    tensors, about = checkpoint.load(path.with_suffix(".safetensors"))
+    path = checkpoint.shipped(path)
+    tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "completes no motions"):
         return checkpoint.frozen(lambda: Completer(CompleterRecipe.read(about["recipe"])), tensors)

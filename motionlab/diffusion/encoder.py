@@ -1,4 +1,4 @@
-"""Encodes windows of motion as features for FID and KID: the latent numbers of an autoencoder over two seconds.
+"""Encodes windows of motion as features for FID: the latent numbers of an autoencoder over two seconds.
 
 It sees the root's path and the feet's sliding, and is trained on training motion alone, as features must not depend on
 held-out motion.
@@ -69,61 +69,54 @@ class EncoderRecipe:
     average: ClassVar[float] = 0.0  # its weights are the last ones
 
 
-class Autoencoder(nn.Module):
-    """Two convolutions over time, each halving it, and a linear layer; the same backwards. (N, T, 94) <-> (N, size)."""
-
-    def __init__(self, recipe: EncoderRecipe) -> None:
-        super().__init__()
-        if recipe.frames % 4:
-            raise ShapeError(f"frames: expected a multiple of 4, got {recipe.frames}")
-        numbers, width, short = sum(FEATURE_GROUPS.values()), recipe.width, recipe.frames // 4
-        self.encoder = nn.Sequential(
-            nn.Conv1d(numbers, width, 5, 2, 2), nn.GELU(), nn.Conv1d(width, width, 5, 2, 2), nn.GELU(),
-            nn.Flatten(), nn.Linear(width * short, recipe.size),
-        )  # fmt: skip
-        self.decoder = nn.Sequential(
-            nn.Linear(recipe.size, width * short), nn.Unflatten(1, (width, short)), nn.GELU(),
-            nn.ConvTranspose1d(width, width, 4, 2, 1), nn.GELU(), nn.ConvTranspose1d(width, numbers, 4, 2, 1),
-        )  # fmt: skip
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Computes the reconstruction (N, T, 94) of normalised signals."""
-        return self.decoder(self.encoder(x.mT)).mT
-
-
-_SIZES = ("mean", "scale", "centre", "spread")  # of ``MotionEncoder``
-
-
-@dataclass(frozen=True, eq=False)
-class MotionEncoder:
-    """The trained encoder, frozen: ``encoder(motion)`` is (N, size), about unit size on training motion.
+class MotionEncoder(nn.Module):
+    """Two convolutions over time, each halving it, and a linear layer; the same backwards. ``encoder(motion)`` is (N,
+    size), about unit size on training motion.
 
     mean (94,), scale (94,): of the signals, one scale per group. centre (size,), spread (size,): of the latent numbers.
     digest: of the checkpoint; it stands beside every table, as numbers in other features do not compare.
     """
 
-    network: Autoencoder
-    mean: Tensor
-    scale: Tensor
-    centre: Tensor
-    spread: Tensor
-    recipe: EncoderRecipe
-    digest: str = ""
+    digest = ""
+
+    def __init__(self, recipe: EncoderRecipe) -> None:
+        super().__init__()
+        if recipe.frames % 4:
+            raise ShapeError(f"frames: expected a multiple of 4, got {recipe.frames}")
+        self.recipe, numbers, width, short = recipe, sum(FEATURE_GROUPS.values()), recipe.width, recipe.frames // 4
+        encoder = nn.Sequential(
+            nn.Conv1d(numbers, width, 5, 2, 2), nn.GELU(), nn.Conv1d(width, width, 5, 2, 2), nn.GELU(),
+            nn.Flatten(), nn.Linear(width * short, recipe.size),
+        )  # fmt: skip
+        decoder = nn.Sequential(
+            nn.Linear(recipe.size, width * short), nn.Unflatten(1, (width, short)), nn.GELU(),
+            nn.ConvTranspose1d(width, width, 4, 2, 1), nn.GELU(), nn.ConvTranspose1d(width, numbers, 4, 2, 1),
+        )  # fmt: skip
+        self.network = nn.ModuleDict({"encoder": encoder, "decoder": decoder})
+        for name, size in (("mean", numbers), ("centre", recipe.size)):
+            self.register_buffer(name, torch.zeros(size))
+        for name, size in (("scale", numbers), ("spread", recipe.size)):
+            self.register_buffer(name, torch.ones(size))
 
     @torch.no_grad()
-    def __call__(self, motion: Motion, batch: int = 512) -> Tensor:
-        """Latent numbers (N, size), float64, of windows (N, recipe.frames) at 30 fps, a batch at a time."""
+    def forward(self, motion: Motion, batch: int = 512) -> Tensor:
+        """Computes latent numbers (N, size), float64, of windows (N, recipe.frames) at 30 fps, a batch at a time."""
         if motion.frames != self.recipe.frames:
             raise ShapeError(f"expected windows of {self.recipe.frames} frames, got {motion.frames}")
         parts = (motion.clip(slice(at, at + batch)) for at in range(0, len(motion.root), batch))
-        latent = torch.cat([self.network.encoder(((signals(x) - self.mean) / self.scale).mT) for x in parts])
+        latent = torch.cat([self.network["encoder"](((signals(x) - self.mean) / self.scale).mT) for x in parts])
         return ((latent - self.centre) / self.spread).double()
+
+    def missed(self, motion: Motion) -> tuple[Tensor, Tensor]:
+        """Computes normalised signals (N, T, 94) of windows, and squares of what the latent numbers miss of them."""
+        x = (signals(motion) - self.mean) / self.scale
+        return x, (self.network["decoder"](self.network["encoder"](x.mT)).mT - x).square()
 
     @torch.no_grad()
     def reconstruction_error(self, motion: Motion) -> dict[str, float]:
         """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
-        x = (signals(motion) - self.mean) / self.scale
-        wrong, total = (self.network(x) - x).square(), (x - x.mean((0, 1))).square()
+        x, wrong = self.missed(motion)
+        total = (x - x.mean((0, 1))).square()
         groups = (each.split(list(FEATURE_GROUPS.values()), -1) for each in (wrong, total))
         parts = zip(FEATURE_GROUPS, *groups, strict=True)
         return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
@@ -131,9 +124,8 @@ class MotionEncoder:
 
 def save_encoder(path: Path | str, features: MotionEncoder, about: dict) -> None:
     """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
-    weights = {f"network.{name}": value.half() for name, value in features.network.state_dict().items()}
-    others = {name: getattr(features, name) for name in _SIZES}
-    checkpoint.save(path, weights | others, about | {"recipe": asdict(features.recipe)})
+    tensors = {n: x.half() if n.startswith("network.") else x for n, x in features.state_dict().items()}
+    checkpoint.save(path, tensors, about | {"recipe": asdict(features.recipe)})
 
 
 @cache
@@ -146,6 +138,6 @@ def motion_encoder(name: str = "features_real") -> MotionEncoder:
     path = checkpoint.shipped(name).with_suffix(".safetensors")
     tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "not a feature autoencoder"):
-        recipe = EncoderRecipe(**about["recipe"])
-        network = checkpoint.frozen(lambda: Autoencoder(recipe), tensors, "network.")
-        return MotionEncoder(network, *(tensors[name].float() for name in _SIZES), recipe, about["sha256"][:12])
+        features = checkpoint.frozen(lambda: MotionEncoder(EncoderRecipe(**about["recipe"])), tensors)
+    features.digest = about["sha256"][:12]
+    return features

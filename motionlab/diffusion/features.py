@@ -1,7 +1,11 @@
-"""Motions as rows of numbers for the denoiser: one row per frame, in named groups, of about unit size.
+"""Motions as rows of numbers, one per frame: a denoiser's ``Layout``, in named groups; the ``states`` of a completer.
+
+A state is redundant, so that nobody has to learn forward kinematics: the root's place; 6-D rotations; where the joints
+are in the frame's own heading frame, and how fast they move there; how fast the root moves and turns there; contacts.
+What a completer makes is the first two and the last.
 
 Source: thesis 4.1.2 (state representation: root translation, 6-D rotations, optional contacts and velocities; world or
-"stuck root" frame).
+"stuck root" frame). HuMoR (Rempe et al. 2021), HumanML3D (Guo et al. 2022), whose states are redundant, too.
 Differs: stuck to the first frame's heading, not to its whole orientation, so that up stays up; normalised per group,
 not per number (half the held-out error after the same training).
 """
@@ -16,11 +20,12 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.heading import stuck_root
-from motionlab.motion import Motion
+from motionlab.heading import heading_frame, stuck_root
+from motionlab.motion import Motion, backward_velocity
 from motionlab.skeleton import STANDARD, Skeleton
 
-_FRAMES = ("stuck", "world")
+_J, _C = len(STANDARD), len(STANDARD.contact_names)
+UNITS = _J + 2  # of a frame: the joints' rotations, the root's place, contacts
 
 
 @dataclass(frozen=True)
@@ -35,16 +40,16 @@ class Layout:
     contacts: bool = True
 
     def __post_init__(self) -> None:
-        if self.frame not in _FRAMES:
-            raise ValueError(f"frame: expected one of {', '.join(_FRAMES)}, got {self.frame!r}")
+        if self.frame not in ("stuck", "world"):
+            raise ValueError(f'frame: expected "stuck" or "world", got {self.frame!r}')
 
     @cached_property
     def slices(self) -> dict[str, slice]:
         """Columns of each group: root, orient, pose, root_vel, rot_vel, contacts, as far as a frame has them."""
-        joints, found, at = len(STANDARD), {}, 0
-        sizes = {"root": 3, "orient": 6, "pose": 6 * (joints - 1)}
-        sizes |= {"root_vel": 3, "rot_vel": 6 * joints} if self.velocities else {}
-        sizes |= {"contacts": len(STANDARD.contact_names)} if self.contacts else {}
+        found, at = {}, 0
+        sizes = {"root": 3, "orient": 6, "pose": 6 * (_J - 1)}
+        sizes |= {"root_vel": 3, "rot_vel": 6 * _J} if self.velocities else {}
+        sizes |= {"contacts": _C} if self.contacts else {}
         for name, size in sizes.items():
             found[name], at = slice(at, at + size), at + size
         return found
@@ -88,10 +93,8 @@ class Layout:
 
 def _change(x: Tensor, fps: float) -> Tensor:
     """Forward differences per second (..., T, D); the last frame repeats the one before."""
-    if x.shape[-2] < 2:
-        return torch.zeros_like(x)
-    moved = x.diff(dim=-2) * fps
-    return torch.cat((moved, moved[..., -1:, :]), -2)
+    rate = backward_velocity(x, fps, dim=-2)
+    return torch.cat((rate[..., 1:, :], rate[..., -1:, :]), -2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,3 +130,68 @@ class Normaliser:
     def undo(self, x: Tensor) -> Tensor:
         """Converts numbers of about unit size back to rows."""
         return x * self.scale.to(x) + self.mean.to(x)
+
+
+def units(layout: Layout) -> Tensor:
+    """Computes the joint that each number of a frame (D,) belongs to; J: the root's place, J + 1: contacts."""
+    each, root = torch.arange(_J).repeat_interleave(6), torch.full((3,), _J)
+    owners = {"root": root, "orient": each[:6], "pose": each[6:], "root_vel": root, "rot_vel": each}
+    owners["contacts"] = torch.full((_C,), _J + 1)
+    return torch.cat([owners[name] for name in layout.slices])
+
+
+# ------------------------------------------------------------------------------------------------- of a completer
+_MADE = Layout("world")
+_SIZES = {"root": 3, "rot": 6 * _J, "places": 3 * _J, "moves": 3 * _J, "root moves": 3, "turns": 1, "contacts": _C}
+SIZE, MADE = sum(_SIZES.values()), _MADE.size
+MADE_AT = [*range(MADE - _C), *range(SIZE - _C, SIZE)]  # where in a state what is made stands
+OWNERS = units(_MADE)  # the unit that each number made belongs to
+
+
+def states(motion: Motion) -> Tensor:
+    """Computes the states (..., T, ``SIZE``) of a motion on the 22 joints, in the frame that it is in.
+
+    Raises:
+        DataError: a motion without contacts.
+    """
+    frame, numbers = heading_frame(motion.root, motion.rot[..., 0, :, :]), made(motion)
+    turn, places = frame.turn, motion.positions
+    moves = backward_velocity(places, motion.fps, dim=-3)
+    turned = backward_velocity(rotation.yaw(motion.rot[..., 0, :, :])[..., None], 1.0, dim=-2)
+    parts = (
+        numbers[..., :-_C], ((places + frame.shift[..., None, :]) @ turn.mT).flatten(-2), (moves @ turn.mT).flatten(-2),
+        (moves[..., :1, :] @ turn.mT)[..., 0, :], torch.atan2(turned.sin(), turned.cos()) * motion.fps,
+        numbers[..., -_C:],
+    )  # fmt: skip
+    return torch.cat(parts, -1)
+
+
+def made(motion: Motion) -> Tensor:
+    """Computes of a motion the numbers (..., T, ``MADE``) that a network makes: root, 6-D rotations, contacts."""
+    return _MADE.encode(motion)
+
+
+def motion_of(numbers: Tensor, like: Motion) -> Motion:
+    """Computes the motion of numbers (..., T, ``MADE``), on the body and at the rate of another; contacts as they are
+    (0 to 1)."""
+    root, sixd, contacts = numbers.split((3, 6 * _J, _C), -1)
+    rot = rotation.sixd_to_matrix(sixd.unflatten(-1, (_J, 6)))
+    return Motion(like.skeleton, root, rot, like.fps, contacts, like.name)
+
+
+def open_places(units: Tensor) -> Tensor:
+    """Computes which joints' places (..., J) are open where these units (..., U) are known: an unknown root or an
+    unknown rotation above them moves them, their own does not."""
+    open_ = [~units[..., _J]]
+    for parent in STANDARD.parents[1:]:
+        open_.append(open_[parent] | ~units[..., parent])
+    return torch.stack(open_, -1)
+
+
+def sizes(states: Tensor) -> tuple[Tensor, Tensor]:
+    """Computes from states (..., ``SIZE``) what makes them about unit size: a mean (``SIZE``,) per column, a scale
+    (``SIZE``,) per group."""
+    flat = states.reshape(-1, SIZE)
+    mean = flat.mean(0)
+    groups = (flat - mean).square().mean(0).split(list(_SIZES.values()))
+    return mean, torch.cat([x.mean().sqrt().clamp(min=1e-3).expand(len(x)) for x in groups])

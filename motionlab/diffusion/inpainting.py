@@ -22,29 +22,21 @@ from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 
-_KNOWN = ("replace", "impute")
-
 
 @dataclass(frozen=True)
 class Inpainting:
     """How the known part enters the sampling.
 
-    known: "replace" (Eq. 4.10) or "impute" (MDM; guidance does so, too). steps: of the respaced process.
-    replace_last: replace (or impute) also in the last step, as the thesis does. guidance_weight: of reconstruction
-    guidance; 0: none. mask_ramp: frames over which the mask's edges rise. blend_frames: over which ``offset_decay``
-    fades; 0: known parts stay as the sampler left them.
+    steps: of the respaced process. guidance_weight: of reconstruction guidance, which imputes the known part, as MDM
+    does; 0: it is replaced (Eq. 4.10), with replace_last also in the last step, as the thesis does. mask_ramp: frames
+    over which the mask's edges rise. blend_frames: over which ``offset_decay`` fades; 0: known parts stay as they are.
     """
 
-    known: str = "replace"
     steps: int = 50
     replace_last: bool = True
     guidance_weight: float = 0.0
     mask_ramp: int = 0
     blend_frames: int = 0
-
-    def __post_init__(self) -> None:
-        if self.known not in _KNOWN:
-            raise ValueError(f"known: expected one of {', '.join(_KNOWN)}, got {self.known!r}")
 
 
 def inpaint_features(
@@ -61,17 +53,11 @@ def inpaint_features(
     m = (_ramped(known, how.mask_ramp) if how.mask_ramp else known).to(x0)
     if how.mask_ramp:  # where the mask is soft the nearest known value stands in
         seen = _nearest_held(seen, known)
-    inner: DenoiseFunction = model.denoiser
     if how.guidance_weight:
-        inner = _guided(inner, schedule, seen, m, how.guidance_weight)
-    elif how.known == "impute":
-        inner = _impute(inner, seen, m)
-
-    def denoise(x: Tensor, stamps: Tensor) -> Tensor:  # the network may have the last word (CondMDI)
-        return (inner if how.replace_last or int(stamps[0]) != int(schedule.stamps[0]) else model.denoiser)(x, stamps)
-
-    after = _replace(schedule, seen, m, generator, last=how.replace_last) if how.known == "replace" else None
-    x = sampling.ddpm(denoise, schedule, sampling.noise_like(x0, generator), generator, after=after)
+        denoise, after = _guided(model.denoiser, schedule, seen, m, how.guidance_weight), None
+    else:
+        denoise, after = model.denoiser, _replace(schedule, seen, m, generator, last=how.replace_last)
+    x = sampling.ddpm(denoise, schedule, noise_like(x0, generator), generator, after=after)
     return offset_decay(x, seen, known, how.blend_frames) if how.blend_frames else x
 
 
@@ -105,11 +91,6 @@ def _replace(
         return (1 - m) * x + m * schedule.noised(known, t - 1, noise_like(known, generator))
 
     return after
-
-
-def _impute(denoise: DenoiseFunction, known: Tensor, m: Tensor) -> DenoiseFunction:
-    """As MDM does: the estimate of x_0 gets the known part, and the sampler goes on from that."""
-    return lambda x, stamps: (1 - m) * denoise(x, stamps) + m * known
 
 
 def _guided(

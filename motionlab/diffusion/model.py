@@ -33,6 +33,8 @@ SIZES = {
     "compact": {"size": 256, "layers": 4, "heads": 4, "hidden": 512},
     "small": {"size": 128, "layers": 3, "heads": 4, "hidden": 256},
 }
+#: How much each part of the training loss counts; 0: it is not computed. fk, contact: per m^2, the latter a frame.
+LOSS_WEIGHTS = {"simple": 1.0, "fk": 0.05, "velocity": 1.0, "contact": 5.0}
 LEVELS = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all noising steps: where the error of x_0 is measured
 
 
@@ -84,27 +86,6 @@ class Denoiser(nn.Module):
 
 
 @dataclass(frozen=True)
-class LossWeights:
-    """How much each part of the training loss counts; 0 switches it off, and it is not computed.
-
-    fk: per square metre. contact: per square metre moved in a frame.
-    """
-
-    simple: float = 1.0
-    fk: float = 0.05
-    velocity: float = 1.0
-    contact: float = 5.0
-
-    def __post_init__(self) -> None:
-        if not all(weight >= 0 for weight in asdict(self).values()):
-            raise ValueError("weights: expected numbers of 0 or more")
-
-    def parts(self) -> dict[str, float]:
-        """Returns the parts that count, with their weights."""
-        return {name: weight for name, weight in asdict(self).items() if weight}
-
-
-@dataclass(frozen=True)
 class DenoiserRecipe:
     """What a training run depends on, with its windows.
 
@@ -128,7 +109,7 @@ class DenoiserRecipe:
     average: float = 0.999
     dropout: float = 0.1
     bf16: bool = False
-    weights: LossWeights = field(default_factory=LossWeights)
+    weights: dict[str, float] = field(default_factory=LOSS_WEIGHTS.copy)
     seed: int = 0
 
     @classmethod
@@ -140,7 +121,7 @@ class DenoiserRecipe:
         """
         if missing := {f.name for f in fields(cls)} - set(content):
             raise ValueError(f"no {', '.join(sorted(missing))}")
-        return cls(**content | {"weights": LossWeights(**content["weights"])})
+        return cls(**content)
 
     @property
     def layout(self) -> Layout:

@@ -22,8 +22,6 @@ from motionlab.errors import ShapeError, check_shape
 
 DenoiseFunction = Callable[[Tensor, Tensor], Tensor]
 After = Callable[[Tensor, Tensor, int], Tensor]
-
-
 MOST = 0.999  # of the variance that one step may replace
 
 
@@ -122,10 +120,6 @@ def noise_like(x: Tensor, generator: torch.Generator) -> Tensor:
     return torch.randn(x.shape, generator=generator, dtype=x.dtype, device=generator.device).to(x.device)
 
 
-def _stamps(schedule: NoiseSchedule, t: int, x: Tensor) -> Tensor:
-    return schedule.stamps[t].to(x.device).expand(len(x))
-
-
 @torch.no_grad()
 def ddpm(
     denoise: DenoiseFunction, schedule: NoiseSchedule, x: Tensor, generator: torch.Generator, *,
@@ -133,7 +127,7 @@ def ddpm(
 ) -> Tensor:  # fmt: skip
     """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; none in the last step."""
     for t in range(len(schedule) - 1, -1, -1):
-        x0 = denoise(x, _stamps(schedule, t, x))
+        x0 = denoise(x, schedule.stamps[t].to(x.device).expand(len(x)))
         mean, variance = schedule.posterior(x0, x, t)
         x = mean + variance.sqrt() * noise_like(x, generator) if t else mean
         x = after(x, x0, t) if after else x
@@ -144,6 +138,6 @@ def ddpm(
 def ddim(denoise: DenoiseFunction, schedule: NoiseSchedule, x: Tensor) -> Tensor:
     """Draws samples (B, ...) by steps that keep the estimated noise and draw none (eta = 0)."""
     for t in range(len(schedule) - 1, -1, -1):
-        x0, before = denoise(x, _stamps(schedule, t, x)), schedule.before[t]
+        x0, before = denoise(x, schedule.stamps[t].to(x.device).expand(len(x))), schedule.before[t]
         x = before.sqrt().to(x) * x0 + (1 - before).clamp(min=0).sqrt().to(x) * schedule.noise_of(x0, x, t)
     return x

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from motionlab.diffusion.features import Layout
+from motionlab.diffusion.features import UNITS
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion, mirror
 from motionlab.retarget import retarget
@@ -164,15 +164,6 @@ def on_standard(motion: Motion) -> Motion:
     return replace(moved, skeleton=STANDARD, root=moved.root * (there / here), contacts=motion.contacts)
 
 
-def units(layout: Layout) -> Tensor:
-    """Computes the joint that each number of a frame (D,) belongs to; J: the root's place, J + 1: contacts."""
-    joints = len(STANDARD)
-    each, root = torch.arange(joints).repeat_interleave(6), torch.full((3,), joints)
-    owners = {"root": root, "orient": each[:6], "pose": each[6:], "root_vel": root, "rot_vel": each}
-    owners["contacts"] = torch.full((len(STANDARD.contact_names),), joints + 1)
-    return torch.cat([owners[name] for name in layout.slices])
-
-
 def draw_units(frames: int, count: int, generator: torch.Generator, kinds: Mapping[str, float]) -> Tensor:
     """Draws masks (count, frames, U) over the units of a frame, bool, True where known; each window's kind is drawn by
     its odds.
@@ -191,7 +182,7 @@ def draw_units(frames: int, count: int, generator: torch.Generator, kinds: Mappi
     chosen = torch.multinomial(torch.tensor(list(kinds.values())), count, replacement=True, generator=generator)
     names = list(kinds)
     found = [_drawn(names[kind], frames, generator) for kind in chosen.tolist()]
-    return torch.stack([mask.expand(frames, len(STANDARD) + 2).bool() for mask in found])
+    return torch.stack([mask.expand(frames, UNITS).bool() for mask in found])
 
 
 def _drawn(kind: str, frames: int, generator: torch.Generator) -> Tensor:
@@ -203,7 +194,7 @@ def _drawn(kind: str, frames: int, generator: torch.Generator) -> Tensor:
     def chance(*shape: int) -> Tensor:
         return torch.rand(shape, generator=generator)
 
-    size, time = len(STANDARD) + 2, torch.arange(frames)[:, None]
+    time = torch.arange(frames)[:, None]
     if kind == "nothing":
         return torch.zeros(1, 1)
     if kind == "frames":
@@ -222,10 +213,10 @@ def _drawn(kind: str, frames: int, generator: torch.Generator) -> Tensor:
         apart = number(_APART[0], _APART[1] + 1)
         return (time - number(0, min(apart, frames))) % apart == 0
     if kind == "legs":
-        known = torch.ones(1, size, dtype=torch.bool)
+        known = torch.ones(1, UNITS, dtype=torch.bool)
         known[:, [j for j, name in enumerate(STANDARD.names) if name.endswith(LEGS)]] = False
         known[:, -2] = chance() < 0.5
     else:
-        known = chance(1 if kind == "joints" else frames, size) < chance(1)
+        known = chance(1 if kind == "joints" else frames, UNITS) < chance(1)
     known[:, -1] = False
     return known

@@ -125,7 +125,7 @@ def over_footage(
                 picture = np.concatenate((labelled(np.asarray(image), text), side.image(frame / fps)), 1)
                 film.append_data(picture)
                 poster = picture if poster is None or frame == count // 2 else poster
-    return Film(Path(path), count, fps, count / fps, 1.0, Path(path).stat().st_size, jpeg(poster))
+    return Film(Path(path), count / fps, 1.0, jpeg(poster))
 
 
 def _draw_bones(image: Image.Image, places: Tensor, hidden: Tensor, role: str | tuple) -> None:

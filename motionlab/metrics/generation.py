@@ -1,7 +1,5 @@
 """Measures how far a set of generated motions is from real ones, between feature tensors (N, D), in float64; and what
-windows of motion are like, in a few physical numbers (``describe``).
-
-Every measure tells the sizes of its sets, as most of them change with it.
+windows of motion are like, in a few physical numbers (``describe``). Most measures change with the sizes of the sets.
 """
 
 from typing import NamedTuple
@@ -12,7 +10,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError, ShapeError, check_shape
-from motionlab.metrics.pose import jitter
+from motionlab.metrics.pose import jitter, power_spectrum
 from motionlab.motion import Motion, velocity
 from motionlab.skeleton import FEET
 
@@ -22,15 +20,6 @@ DESCRIPTION_UNITS = {
     "jitter": "m/s^3", "quick motion": "% above 4 Hz", "feet on the floor": "%", "foot height": "m",
     "knee flexion": "deg", "elbow flexion": "deg", "trunk lean": "deg", "hand height": "m",
 }  # fmt: skip
-
-
-class Score(NamedTuple):
-    """One measure, with what it was measured on."""
-
-    value: float
-    n: int  #: generated samples that it was computed from
-    m: int  #: real samples
-    spread: float = float("nan")  #: standard deviation over the random subsets, where there are some
 
 
 def _checked(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -45,79 +34,34 @@ def _checked(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
     return x.double(), y.double()
 
 
-# ------------------------------------------------------------------------------------------------- distances
-def _frechet_of_gaussians(mean: Tensor, cov: Tensor, other_mean: Tensor, other_cov: Tensor) -> float:
-    """Squared Frechet distance |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^1/2) of two Gaussians; means (D,), covs (D, D).
+def frechet(generated: Tensor, real: Tensor) -> float:
+    """Computes the Frechet distance (FID) of sets (N, D), (M, D), in squared units of the features; grows as N shrinks.
 
-    tr (C1 C2)^1/2 is the sum of the singular values of S1 S2, S the symmetric root by eigenvalues (those that rounding
-    makes negative count as zero): it needs no inverse, so singular covariances are no special case.
+    |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^1/2) of means and covariances; tr (C1 C2)^1/2 is the sum of the singular values
+    of S1 S2, S the symmetric root by eigenvalues (those that rounding makes negative count as zero): it needs no
+    inverse, so singular covariances are no special case.
 
     Source: Heusel et al. 2017. Differs: they take scipy's sqrtm and add 1e-6 to the diagonal where it fails.
+    Raises:
+        ShapeError: fewer than two samples a side, or different D. DataError: a feature is not finite.
     """
 
     def root(c: Tensor) -> Tensor:
         values, vectors = torch.linalg.eigh((c + c.mT) / 2)
         return vectors * values.clamp_min(0).sqrt() @ vectors.mT
 
-    shared = torch.linalg.svdvals(root(cov) @ root(other_cov)).sum()
-    apart = (mean - other_mean).square().sum()
-    return max(0.0, (apart + cov.trace() + other_cov.trace() - 2 * shared).item())
-
-
-def frechet(generated: Tensor, real: Tensor) -> Score:
-    """Computes the Frechet distance (FID) of sets (N, D), (M, D), in squared units of the features; grows as N shrinks.
-
-    Raises:
-        ShapeError: fewer than two samples a side, or different D. DataError: a feature is not finite.
-    """
     x, y = _checked(generated, real)
-    moments = [part for z in (x, y) for part in (z.mean(0), z.mT.cov().reshape(z.shape[1], z.shape[1]))]
-    return Score(_frechet_of_gaussians(*moments), len(x), len(y))
+    cov, other = (z.mT.cov().reshape(z.shape[1], z.shape[1]) for z in (x, y))
+    shared = torch.linalg.svdvals(root(cov) @ root(other)).sum()
+    apart = (x.mean(0) - y.mean(0)).square().sum()
+    return max(0.0, (apart + cov.trace() + other.trace() - 2 * shared).item())
 
 
-def _polynomial_mmd(x: Tensor, y: Tensor) -> float:
-    """Unbiased squared MMD between (N, D) and (M, D) under k(x, y) = (x . y / D + 1)^3; may be below zero."""
-
-    def kernel(a: Tensor, b: Tensor) -> Tensor:
-        return (a @ b.mT / a.shape[1] + 1) ** 3
-
-    def within(a: Tensor) -> Tensor:
-        k = kernel(a, a)
-        return (k.sum() - k.trace()) / (len(a) * (len(a) - 1))
-
-    return (within(x) + within(y) - 2 * kernel(x, y).mean()).item()
-
-
-def kid(generated: Tensor, real: Tensor, generator: torch.Generator, *, subsets: int = 100, size: int = 1000) -> Score:
-    """Computes the kernel distance, whose mean is free of N: :func:`_polynomial_mmd` over random subsets; its spread.
-
-    Subsets have ``size`` samples, or as many as the smaller set has; where neither set leaves a choice there is one
-    subset. The score's n and m are the sets', not the subsets'.
-
-    Source: Binkowski et al. 2018; constants of MDM (``eval/unconstrained/metrics/kid.py``). Differs: MDM draws with
-    replacement; pairs that were drawn twice then count as similar, which biases the score upwards.
-    Raises:
-        ShapeError: fewer than two samples a side, or different D. DataError: a feature is not finite.
-    """
-    x, y = _checked(generated, real)
-    size = min(size, len(x), len(y))
-    if size < 2 or subsets < 1:
-        raise ShapeError(f"expected subsets of at least 2 samples, and at least one; got {subsets} of {size}")
-    if size == len(x) == len(y):
-        return Score(_polynomial_mmd(x, y), len(x), len(y))
-    picks = ([z[torch.randperm(len(z), generator=generator)[:size]] for z in (x, y)] for _ in range(subsets))
-    found = torch.tensor([_polynomial_mmd(*pick) for pick in picks], dtype=torch.float64)
-    return Score(found.mean().item(), len(x), len(y), found.std(correction=0).item())
-
-
-# ------------------------------------------------------------------------------------------------- manifolds
 class Precision(NamedTuple):
     """Shares in 0..1 of samples that lie on the other set's manifold."""
 
     precision: float  #: of the generated, how many lie among the real
     recall: float  #: of the real, how many lie among the generated
-    n: int
-    m: int
 
 
 class Coverage(NamedTuple):
@@ -125,8 +69,6 @@ class Coverage(NamedTuple):
 
     density: float  #: neighbourhoods that a generated sample lies in, over k: about 1 for equal sets, may exceed 1
     coverage: float  #: share in 0..1 of the real neighbourhoods that hold some generated sample
-    n: int
-    m: int
 
 
 def _neighbour_radii(x: Tensor, k: int) -> Tensor:
@@ -158,7 +100,7 @@ def precision_recall(generated: Tensor, real: Tensor, k: int = 3) -> Precision:
     between = _distances(x, y)
     on_real = (between <= _neighbour_radii(y, k)).any(1)
     on_generated = (between <= _neighbour_radii(x, k)[:, None]).any(0)
-    return Precision(on_real.double().mean().item(), on_generated.double().mean().item(), len(x), len(y))
+    return Precision(on_real.double().mean().item(), on_generated.double().mean().item())
 
 
 def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
@@ -174,7 +116,7 @@ def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
     """
     x, y = _checked(generated, real)
     inside = _distances(x, y) < _neighbour_radii(y, k)
-    return Coverage(inside.sum().item() / (k * len(x)), inside.any(0).double().mean().item(), len(x), len(y))
+    return Coverage(inside.sum().item() / (k * len(x)), inside.any(0).double().mean().item())
 
 
 def describe(motion: Motion) -> dict[str, Tensor]:
@@ -210,8 +152,7 @@ def describe(motion: Motion) -> dict[str, Tensor]:
 
 def _power_above(moving: Tensor, fps: float, hertz: float) -> Tensor:
     """Share (...) of the power of signals (..., T, J, 3) above a frequency."""
-    window = torch.hann_window(moving.shape[-3], periodic=False).to(moving)[:, None, None]
-    power = torch.fft.rfft(window * moving, dim=-3).abs().square().sum((-1, -2))
+    power = power_spectrum(moving)
     quick = torch.fft.rfftfreq(moving.shape[-3], 1 / fps) > hertz
     return power[..., quick].sum(-1) / power.sum(-1).clamp_min(torch.finfo(power.dtype).tiny)
 

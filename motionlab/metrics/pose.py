@@ -82,12 +82,6 @@ def mpjpe(predicted: Tensor, truth: Tensor, *, align: str, mask: Tensor | None =
     return masked_mean(joint_errors(predicted, truth, align=align), mask, 2)
 
 
-def mpjpe_visible_occluded(predicted: Tensor, truth: Tensor, visible: Tensor, *, align: str) -> tuple[Tensor, Tensor]:
-    """Computes the mean error (...) in metres of joints that were seen, and that were not; ``visible`` (..., T, J)."""
-    errors = joint_errors(predicted, truth, align=align)
-    return masked_mean(errors, visible, 2), masked_mean(errors, ~visible.bool(), 2)
-
-
 def acceleration(positions: Tensor, fps: float) -> Tensor:
     """Computes the size (..., T - 2, J) of each joint's acceleration in m/s^2, by second differences."""
     check_shape(positions, "... T J 3", "positions")
@@ -112,6 +106,12 @@ def jitter(positions: Tensor, fps: float) -> Tensor:
     return masked_mean(jerk, None, 2)
 
 
+def power_spectrum(velocities: Tensor) -> Tensor:
+    """Computes the power (..., F) of velocities (..., T, J, 3) by frequency under a Hann window, summed over joints."""
+    window = torch.hann_window(velocities.shape[-3], False, dtype=velocities.dtype, device=velocities.device)
+    return torch.fft.rfft(velocities * window[:, None, None], dim=-3).abs().square().sum((-1, -2))
+
+
 def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Sequence[float]) -> Tensor:
     """Computes the power of predicted paths over that of the true ones, by frequency band: (..., bands).
 
@@ -128,13 +128,8 @@ def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Se
     _check_pair(predicted, truth)
     if truth.shape[-3] < 2:
         return truth.new_full((*np.broadcast_shapes(predicted.shape, truth.shape)[:-3], len(edges) - 1), torch.nan)
-
-    def power(x: Tensor) -> Tensor:  # (..., F)
-        speed = x.diff(dim=-3)
-        window = torch.hann_window(speed.shape[-3], periodic=False, dtype=x.dtype, device=x.device)
-        return torch.fft.rfft(speed * window[:, None, None], dim=-3).abs().square().sum((-1, -2))
-
     frequency = torch.fft.rfftfreq(truth.shape[-3] - 1, 1 / fps, dtype=truth.dtype, device=truth.device)
     bands = torch.tensor([list(band) for band in pairwise(edges)]).to(truth)
     inside = ((frequency >= bands[:, :1]) & (frequency < bands[:, 1:])).to(truth)  # (bands, F)
-    return (power(predicted) @ inside.mT) / (power(truth) @ inside.mT)
+    mine, true = (power_spectrum(x.diff(dim=-3)) @ inside.mT for x in (predicted, truth))
+    return mine / true

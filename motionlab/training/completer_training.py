@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from motionlab.contact import with_contacts
-from motionlab.diffusion import state
+from motionlab.diffusion import features
 from motionlab.diffusion.completer import Completer, CompleterRecipe, motion_noise
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.windows import Windows, draw_units
@@ -25,7 +25,7 @@ _WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.3}
 _SQUARED = {"places": 1 / 0.2, "moves": 1 / 0.03}  # per metre
 _SILENT = 0.3  # of windows: contacts are told nowhere, as of motion that nobody labelled
 _ROUGH = (8.0, 4.0)  # degrees, centimetres of noise, at most
-_EVERY = torch.ones(state.UNITS, dtype=torch.bool)
+_EVERY = torch.ones(features.UNITS, dtype=torch.bool)
 
 
 class CompleterTraining(TrainingRun):
@@ -41,7 +41,7 @@ class CompleterTraining(TrainingRun):
             model.load_state_dict(start.state_dict())
         else:
             some = stuck_root(windows.draw(_MEASURED, torch.Generator().manual_seed(0)))[0]
-            for kept, found in zip((model.mean, model.scale), state.sizes(state.rows(some)), strict=True):
+            for kept, found in zip((model.mean, model.scale), features.sizes(features.states(some)), strict=True):
                 kept.copy_(found)
         model.halves = fast_halves()
         how = {"lr": recipe.lr, "weight_decay": recipe.decay, "betas": (0.9, 0.98)}
@@ -62,7 +62,7 @@ class CompleterTraining(TrainingRun):
             shown, tremble = self._smoothed(motion)
             shown, frame = stuck_root(shown)
             motion = world_to_local(frame, motion)
-            known = torch.zeros(*shown.root.shape[:2], state.UNITS, dtype=torch.bool)
+            known = torch.zeros(*shown.root.shape[:2], features.UNITS, dtype=torch.bool)
             made = self.model.filled(shown, known, tremble=tremble)
         else:
             motion = stuck_root(motion)[0]
@@ -99,7 +99,7 @@ def losses(
     of joints are.
     """
     told = known | ~seen[:, None]
-    open_ = state.open_places(told).float()
+    open_ = features.open_places(told).float()
     whole = replace(made, rot=torch.where(told[..., :-2, None, None], truth.rot, made.rot))
     off = whole.positions - truth.positions
     places, moves = (x.square().sum(-1) for x in (off, off.diff(dim=1)))
@@ -109,8 +109,8 @@ def losses(
         places, moves = (x.add(1e-6).sqrt() for x in (places, moves))
     both = torch.maximum(open_[:, 1:], open_[:, :-1])
     asked = (~known & seen[:, None]).float()
-    columns = asked[..., state.owners()]
-    squares = ((state.made(made) - state.made(truth)) / scale).square()
+    columns = asked[..., features.OWNERS]
+    squares = ((features.made(made) - features.made(truth)) / scale).square()
     rotations = squares[..., 3 : -len(truth.skeleton.contact_names)]
     steps = (made.contacts - truth.contacts).square()
     return {

@@ -25,7 +25,7 @@ from motionlab.bench.cases import PersonWindows, by_person, person_windows
 from motionlab.bench.judge import CASES, FRAMES, judged
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
-from motionlab.diffusion import completer, state
+from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
 from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.encoder import EncoderRecipe
@@ -142,7 +142,7 @@ class CompleterCourse(Course):
 def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
     """What is left of noise that is new in every frame, and what the smoother alone leaves; first the mean."""
     motion, whose, _ = windows
-    nothing = torch.zeros(*motion.root.shape[:2], state.UNITS, dtype=torch.bool)
+    nothing = torch.zeros(*motion.root.shape[:2], features.UNITS, dtype=torch.bool)
     row, left = {}, []
     for degrees, cm in _NOISES:
         noise = Noise.of(degrees, cm)

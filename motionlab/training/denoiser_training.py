@@ -15,10 +15,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from motionlab.diffusion.features import Layout, Normaliser
+from motionlab.diffusion.features import Layout, Normaliser, units
 from motionlab.diffusion.model import Denoiser, DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.sampling import noise_like
-from motionlab.diffusion.windows import Windows, units
+from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError, check_shape
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD
@@ -67,7 +67,7 @@ class DenoiserTraining(TrainingRun):
         with torch.random.fork_rng(devices=[]), torch.autocast("cpu", torch.bfloat16, recipe.bf16):
             torch.manual_seed(seed)  # dropout draws from torch's own generator
             estimate = self.model(xt, self.schedule.stamps[t]).float()
-        weights, seen = recipe.weights.parts(), None
+        weights, seen = {name: weight for name, weight in recipe.weights.items() if weight}, None
         if self.windows.seen is not None:
             whole = torch.ones(len(clips), 2, dtype=torch.bool)  # the root's place, contacts
             seen = torch.cat((self.windows.seen[clips], whole), 1)[:, units(self.layout)]

@@ -9,7 +9,7 @@ millimetre per second.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -175,20 +175,16 @@ class _EncoderRun(TrainingRun):
 
     def __init__(self, recipe: encoder.EncoderRecipe, windows: Windows) -> None:
         generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
-        network = seeded(recipe.seed, lambda: encoder.Autoencoder(recipe))
-        self.mean, self.scale = _moments(encoder.signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
+        network = seeded(recipe.seed, lambda: encoder.MotionEncoder(recipe))
+        network.mean, network.scale = _moments(encoder.signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
         sizes = torch.tensor([*encoder.FEATURE_GROUPS.values()])
         self.weight = (1 / (sizes * len(sizes))).repeat_interleave(sizes)
         optimiser = torch.optim.Adam(network.parameters(), recipe.lr)
         super().__init__(recipe, windows.digest, generator, network, optimiser)
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
-        x = (encoder.signals(self.windows.draw(self.recipe.batch, self.generator)) - self.mean) / self.scale
-        return ((self.model(x) - x).square() * self.weight).sum(-1).mean(), {}
-
-    def _ready(self, network: encoder.Autoencoder) -> encoder.MotionEncoder:
-        size = self.recipe.size
-        return encoder.MotionEncoder(network, self.mean, self.scale, torch.zeros(size), torch.ones(size), self.recipe)
+        _, missed = self.model.missed(self.windows.draw(self.recipe.batch, self.generator))
+        return (missed * self.weight).sum(-1).mean(), {}
 
 
 def train_encoder(
@@ -202,7 +198,7 @@ def train_encoder(
     made = run.averaged
     made.network.half().float()  # its weights as they are stored
     latent = made(windows.draw(2048, run.generator)).float()
-    made = replace(made, centre=latent.mean(0), spread=latent.std(0).clamp(min=1e-3))
+    made.centre, made.spread = latent.mean(0), latent.std(0).clamp(min=1e-3)
     return made, [{name: round(value, 4) for name, value in row.items()} for row in run.curve]
 
 

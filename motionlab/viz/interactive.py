@@ -11,7 +11,7 @@ import io
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from unittest import mock
 
 import numpy as np
@@ -20,10 +20,9 @@ from PIL import Image
 
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
-from motionlab.viz.movie import Film, Mesh, jpeg, stage, strip
+from motionlab.viz.movie import Film, jpeg, stage
 from motionlab.viz.scene import Scene
 
-BACKENDS = ("static", "picture", "trame")
 _RATE = 25  # steps of the slider per second
 _REST, _WHEEL = 0.4, 1.1  # seconds without motion until edges are smoothed; times as far by a notch of the wheel
 
@@ -97,63 +96,43 @@ def _trame(scene: Scene):
 
 
 def slider(
-    motions: Motion | Mapping[str, Motion],
-    backend: str | None = None,
-    *,
-    roles: Mapping[str, str] | None = None,
-    body: BodyModel | None = None,
-    things: Sequence[Mesh] = (),
-    ghost: Motion | None = None,
-    size: tuple[int, int] | None = None,
-    follow: bool = True,
-    azimuth: float | None = None,
-):
+    motions: Motion | Mapping[str, Motion], backend: str | None = None, *, roles: Mapping[str, str] | None = None,
+    body: BodyModel | None = None, size: tuple[int, int] | None = None, **view,
+):  # fmt: skip
     """Builds a time slider over motions side by side, with a play button that plays at the speed of life.
 
     Where drawing cannot keep up, frames are skipped; the clock is that of the picture shown.
 
     Args:
-        motions, roles, body, things, ghost, azimuth: as of :func:`motionlab.viz.movie.film`.
-        backend: "static": key poses as one picture (H, W, 3), a row for each motion (CI); "picture": an image that is
-            drawn anew, with buttons that turn it; "trame": a view that a person turns with the mouse, through pyvista's
-            trame back end. By default "trame" where ``$PYVISTA_JUPYTER_BACKEND`` says so, as ``make lab`` does, else
-            "picture".
+        motions, roles, body: as of :func:`motionlab.viz.movie.film`. view: its things, ghost, follow and azimuth; the
+            eye travels with each motion, if not told otherwise.
+        backend: "picture": an image that is drawn anew, with buttons that turn it; "trame": a view that a person turns
+            with the mouse, through pyvista's trame back end. By default "trame" where ``$PYVISTA_JUPYTER_BACKEND`` says
+            so, as ``make lab`` does, else "picture".
         size: width and height in pixels.
-        follow: the eye travels with each motion instead of standing far enough away.
 
     Returns:
-        an array for "static", else an ipywidgets box with children (view, controls).
+        an ipywidgets box with children (view, controls).
 
     Raises:
         ValueError: no such backend.
     """
-    backend = _checked(backend)
-    if backend == "static":
-        return strip(motions, roles=roles, body=body, ghost=ghost, azimuth=azimuth)
     import ipywidgets
 
     panels = 1 if isinstance(motions, Motion) else len(motions)
     size = size or (640 if panels == 1 else min(420 * panels, 1020), 420)
-    how = {"things": things, "ghost": ghost, "follow": follow, "azimuth": azimuth}
-    shown = Player(*stage(motions, roles, body, size, **how), backend)
+    shown = Player(*stage(motions, roles, body, size, **{"follow": True} | view), backend)
     shown.clock.layout.width = "5em"
     row = [shown.play, shown.hand, shown.clock, *shown.turns]
     return ipywidgets.VBox([shown.view, ipywidgets.HBox(row, layout={"width": f"{size[0]}px"})])
-
-
-def _checked(backend: str | None) -> str:
-    backend = backend or ("trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture")
-    if backend not in BACKENDS:
-        raise ValueError(f"no backend {backend!r}; backends are {', '.join(BACKENDS)}")
-    return backend
 
 
 class Player:
     """A scene in JupyterLab as widgets to arrange: ``view``, ``play``, ``hand`` (a slider), ``clock`` (a label) and
     ``turns`` (buttons that turn the picture, where no mouse does).
 
-    seconds: how long the scene moves. backend: as of :func:`slider`, but not "static". steps: of the slider from start
-    to end; by default 25 per second. words: step of the picture that is shown, to what the clock says.
+    seconds: how long the scene moves. backend: as of :func:`slider`. steps: of the slider from start to end; by default
+    25 per second. words: step of the picture that is shown, to what the clock says.
     """
 
     def __init__(
@@ -161,6 +140,9 @@ class Player:
     ) -> None:
         import ipywidgets
 
+        backend = backend or ("trame" if os.environ.get("PYVISTA_JUPYTER_BACKEND") == "trame" else "picture")
+        if backend not in ("picture", "trame"):
+            raise ValueError(f"no backend {backend!r}; backends are picture, trame")
         self.scene, self.seconds = scene, seconds
         self.steps = steps or max(round(seconds * _RATE), 1)
         self._words = words or (lambda step: f"{step * seconds / self.steps:.2f} s")
@@ -172,26 +154,19 @@ class Player:
         ipywidgets.jslink((self.play, "value"), (self.hand, "value"))
         self.turns = []
         scene.at(0.0)
-        if _checked(backend) == "trame":
+        if backend == "trame":
             self.view, self._refresh = _trame(scene)
         else:
             self.view = ipywidgets.Image(format="jpeg", layout={"width": f"{scene.size[0]}px"})
-            self._refresh = self._picture
-            self._picture()
-            turn = _newest(self._turn)
+            self._refresh = lambda: setattr(self.view, "value", jpeg(scene.image(), 92))
+            self._refresh()
+            turn = _newest(lambda degrees: (scene.turn(degrees), self.draw(self.hand.value)))
             for way, degrees in (("left", 30.0), ("right", -30.0)):
                 button = ipywidgets.Button(icon=f"rotate-{way}", tooltip=f"turn to the {way}", layout={"width": "3em"})
                 button.on_click(lambda _, by=degrees: turn(by))
                 self.turns.append(button)
         moved = _newest(self.draw)
         self.hand.observe(lambda change: moved(change["new"]), names="value")
-
-    def _turn(self, degrees: float) -> None:
-        self.scene.turn(degrees)
-        self.draw(self.hand.value)
-
-    def _picture(self) -> None:
-        self.view.value = jpeg(self.scene.image(), 92)
 
     def draw(self, step: int) -> None:
         """Shows the scene as it now is at a step of the slider."""

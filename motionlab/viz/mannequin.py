@@ -287,13 +287,6 @@ def floor_tiles(centre: np.ndarray, radius: float) -> pv.PolyData:
     return mesh
 
 
-def _vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """A third of the area of the faces around each vertex, square metres (V,)."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 6
-    return np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
-
-
 def _darkness(points: np.ndarray, areas: np.ndarray, centre: np.ndarray, width: float = _WIDTH) -> np.ndarray:
     """How much light a surface keeps from the floor around ``centre``, (cells, cells) in 0..1, row = y.
 
@@ -317,7 +310,10 @@ class Shadow:
     """A translucent square on the floor that follows one surface (V, 3), (F, 3); ``move`` redraws it in place."""
 
     def __init__(self, plotter: pv.Plotter, points: np.ndarray, faces: np.ndarray, strength: float) -> None:
-        self.areas, self.strength = _vertex_areas(points, faces), strength
+        a, b, c = (points[faces[:, i]] for i in range(3))
+        third = np.linalg.norm(np.cross(b - a, c - a), axis=-1) / 6
+        self.areas = np.bincount(faces.ravel(), np.repeat(third, 3), minlength=len(points))  # about each vertex, m^2
+        self.strength = strength
         self.width = max(_WIDTH, float(np.ptp(points[:, :2], axis=0).max()) + 1.5)
         self.square = pv.PolyData(np.zeros((4, 3)), [4, 0, 1, 2, 3])
         self.square.active_texture_coordinates = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], float)

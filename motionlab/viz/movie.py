@@ -55,36 +55,29 @@ def meshes(occluders: Sequence[object]) -> list[Mesh]:
 
 @dataclass(frozen=True)
 class Film:
-    """A written movie; shows itself in a notebook.
+    """A written movie of ``seconds`` of motion, ``speed`` times as fast as life; shows itself in a notebook.
 
-    frames at fps per second play ``seconds`` of motion ``speed`` times as fast as life. poster: a JPEG of the frame in
-    the middle, which a page shows before the film plays or where it cannot.
+    poster: a JPEG of the frame in the middle, which a page shows before the film plays or where it cannot.
     """
 
     path: Path
-    frames: int
-    fps: float
     seconds: float
     speed: float
-    bytes: int
-    poster: bytes = b""
+    poster: bytes
 
     def _repr_html_(self) -> str:
         data = base64.b64encode(self.path.read_bytes()).decode()
         if self.path.suffix == ".gif":
             return f'<img alt="{self.path.stem}" src="data:image/gif;base64,{data}">'
-        still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}" if self.poster else ""
+        still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}"
         look = f'controls loop autoplay muted playsinline style="max-width:100%" poster="{still}"'
         return f'<video {look} src="data:video/mp4;base64,{data}"></video>'
 
 
 def write_film(
-    pictures: Sequence[np.ndarray], path: str | Path, fps: float, budget: int = 700_000
-) -> tuple[int, float, int]:
-    """Writes pictures (H, W, 3) uint8 as a .gif that loops or an .mp4; returns its frames, rate and bytes.
-
-    A GIF that would be larger than ``budget`` bytes gets fewer colours, then fewer frames per second; it keeps
-    its length.
+    pictures: Sequence[np.ndarray], path: str | Path, fps: float, seconds: float, speed: float = 1.0
+) -> Film:
+    """Writes pictures (H, W, 3) uint8 as a .gif that loops or an .mp4; ``seconds`` and ``speed`` as of :class:`Film`.
 
     Raises:
         ShapeError: no pictures. ValueError: another ending, or a rate that the format cannot play.
@@ -92,57 +85,47 @@ def write_film(
     path = Path(path)
     if len(pictures) == 0:
         raise ShapeError(f"{path}: no pictures to write")
-    step = 1
     if path.suffix == ".gif":
-        for colours, step in ((127, 1), (64, 1), (64, 2), (48, 3)):
-            _write_gif(path, pictures[::step], fps / step, colours)
-            if path.stat().st_size <= budget:
-                break
+        _write_gif(path, pictures, fps)
     elif path.suffix == ".mp4":  # its pixels come in pairs
         height, width = (n // 2 * 2 for n in pictures[0].shape[:2])
         imageio.mimwrite(path, [p[:height, :width] for p in pictures], fps=fps, macro_block_size=2, quality=6)
     else:
         raise ValueError(f"{path}: a film ends in .gif or .mp4")
-    return len(pictures[::step]), fps / step, path.stat().st_size
+    return Film(path, seconds, speed, jpeg(pictures[len(pictures) // 2]))
 
 
-def _write_gif(path: Path, pictures: Sequence[np.ndarray], fps: float, colours: int) -> None:
+def _write_gif(path: Path, pictures: Sequence[np.ndarray], fps: float) -> None:
     """Write a GIF in one palette; it counts hundredths of a second, so some pictures last one longer."""
     if not 0 < fps <= 50:
         raise ValueError(f"{path}: {fps} frames per second; browsers play a GIF at 50 at most")
     sample = np.concatenate(pictures[:: len(pictures) // 12 + 1])
-    key = Image.fromarray(sample).quantize(colours, Image.Quantize.FASTOCTREE)
+    key = Image.fromarray(sample).quantize(127, Image.Quantize.FASTOCTREE)
     first, *others = (Image.fromarray(picture).quantize(palette=key, dither=Image.Dither.NONE) for picture in pictures)
     lasts = 10 * np.diff(np.round(100 / fps * np.arange(len(pictures) + 1)).astype(int))
     first.save(path, save_all=True, append_images=others, duration=lasts.tolist(), loop=0, optimize=True)
 
 
 def stage(
-    motions: Motion | Mapping[str, Motion],
-    roles: Mapping[str, str] | None = None,
-    body: BodyModel | None = None,
-    size: tuple[int, int] | None = None,
-    *,
-    things: Sequence[Mesh] = (),
-    ghost: Motion | None = None,
-    **view,
-) -> tuple[Scene, float]:
+    motions: Motion | Mapping[str, Motion], roles: Mapping[str, str] | None = None, body: BodyModel | None = None,
+    size: tuple[int, int] | None = None, *, things: Sequence[Mesh] = (), ghost: Motion | None = None, **view,
+) -> tuple[Scene, float]:  # fmt: skip
     """Builds a scene with a floor and one panel per motion; returns it and the seconds until the longest has ended.
 
-    The arguments are those of :func:`film`; ``view`` goes to :class:`~motionlab.viz.scene.Scene`.
+    Args:
+        motions, roles, body: as of :func:`film`.
+        things: what stood there and hid somebody, translucent in every panel: see :func:`meshes`.
+        ghost: a motion that stands, grey and translucent, in every other panel than its own: the truth.
+        view: of :class:`~motionlab.viz.scene.Scene`, as follow and azimuth.
     """
     panels, roles = _cast(motions, roles)
     seconds = max((single(motion).frames - 1) / motion.fps for motion in panels.values())
-    scene = Scene(size or _usual_size(len(panels)), panels=tuple(panels), **view).floor()
+    scene = Scene(size, panels=tuple(panels), **view).floor()
     for panel, (label, motion) in enumerate(panels.items()):
         _add(scene, motion, roles[label], body, None if motion is ghost else ghost, panel=panel)
         for vertices, faces in things:
             scene.mesh(vertices[0].numpy(), faces.numpy(), _WOOD, opacity=0.35, framed=False, panel=panel)
     return scene, seconds
-
-
-def _usual_size(panels: int) -> tuple[int, int]:
-    return {1: (480, 360), 2: (640, 340)}.get(panels, (240 * panels, 320))
 
 
 def _cast(motions, roles) -> tuple[dict[str, Motion], dict[str, str]]:
@@ -162,35 +145,22 @@ def _add(scene: Scene, motion: Motion, role, body: BodyModel | None, ghost: Moti
 
 
 def film(
-    motions: Motion | Mapping[str, Motion],
-    path: str | Path,
-    *,
-    roles: Mapping[str, str] | None = None,
-    body: BodyModel | None = None,
-    things: Sequence[Mesh] = (),
-    ghost: Motion | None = None,
-    size: tuple[int, int] | None = None,
-    fps: float | None = None,
-    speed: float = 1.0,
-    most: int | None = None,
-    follow: bool = False,
-    azimuth: float | None = None,
-    progress: bool | None = None,
-) -> Film:
+    motions: Motion | Mapping[str, Motion], path: str | Path, *, roles: Mapping[str, str] | None = None,
+    body: BodyModel | None = None, size: tuple[int, int] | None = None, fps: float | None = None, speed: float = 1.0,
+    most: int | None = None, progress: bool | None = None, **view,
+) -> Film:  # fmt: skip
     """Writes motions side by side in sync, each under its label, as an MP4 or a GIF.
 
     Args:
         motions: one, or label -> motion. A label that names a role has its colour, others are "ours";
             ``roles`` (label -> role) says otherwise.
         body: a ``BodyModel`` to show its skin instead of the mannequin.
-        things: what stood there and hid somebody, translucent in every panel: see :func:`meshes`.
-        ghost: a motion that stands, grey and translucent, in every other panel than its own: the truth.
         size: of the whole picture; of an MP4 480 x 420 for each motion, of a GIF 480 x 360 for one motion, 320 x 340
             for each of two, 240 x 320 for each of more.
         fps: pictures per second; by default the motion's own rate, 30 at most, and 12.5 in a GIF. speed: times life.
         most: pictures, 300 by default and 60 in a GIF; a longer motion plays faster, and the caption says by how much.
-        follow, azimuth: see :class:`~motionlab.viz.scene.Scene`. A view that follows makes a larger GIF.
         progress: a bar; by default where somebody watches.
+        view: ``things``, ``ghost``, and the eye's ``follow``, ``azimuth``, ``elevation``, as of :func:`stage`.
 
     Raises:
         ShapeError: no motions, a batch of them, or one without frames. KeyError: an unknown role.
@@ -201,9 +171,9 @@ def film(
         fps = fps or min(30.0, max((m.fps for m in shown), default=30.0))
     fps, most = fps or 12.5, most or 60
     fine = 1 if viz.draft else _FINE  # a third faster than a scene that smooths its own edges
-    width, height = (fine * n for n in size or _usual_size(len(shown)))
-    how = {"things": things, "ghost": ghost, "follow": follow, "azimuth": azimuth}
-    scene, seconds = stage(motions, roles, body, (width, height), **how)
+    usual = {1: (480, 360), 2: (640, 340)}.get(len(shown), (240 * len(shown), 320))
+    width, height = (fine * n for n in size or usual)
+    scene, seconds = stage(motions, roles, body, (width, height), **view)
     scene.smooth(False)
     count = min(int(seconds / speed * fps + 1e-6) + 1, most)
     pace = max(speed, seconds * fps / most)
@@ -215,8 +185,7 @@ def film(
         for now in tqdm(drawn(np.arange(count) * pace / fps), f"film {path.name}", leave=False, disable=not progress):
             clock(f"{now:.1f} s" + (f"  ({pace:.1f} x life)" if abs(pace - 1) > 0.05 else ""))
             pictures.append(np.asarray(Image.fromarray(scene.image(float(now))).reduce(fine)))
-    frames, rate, size_on_disk = write_film(pictures, path, fps * len(pictures) / count)  # a draft keeps its length
-    return Film(path, frames, rate, seconds, pace, size_on_disk, jpeg(pictures[len(pictures) // 2]))
+    return write_film(pictures, path, fps * len(pictures) / count, seconds, pace)  # a draft keeps its length
 
 
 def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
@@ -227,16 +196,10 @@ def jpeg(picture: np.ndarray, quality: int = 80) -> bytes:
 
 
 def strip(
-    motions: Motion | Mapping[str, Motion],
-    n: int = 8,
-    role: str | tuple = "ours",
-    *,
-    roles: Mapping[str, str] | None = None,
-    body: BodyModel | None = None,
-    ghost: Motion | None = None,
-    size: tuple[int, int] = (1200, 330),
-    azimuth: float | None = None,
-) -> np.ndarray:
+    motions: Motion | Mapping[str, Motion], n: int = 8, role: str | tuple = "ours", *,
+    roles: Mapping[str, str] | None = None, body: BodyModel | None = None, ghost: Motion | None = None,
+    size: tuple[int, int] = (1200, 330), azimuth: float | None = None,
+) -> np.ndarray:  # fmt: skip
     """Draws ``n`` poses evenly through time, side by side in one picture (H, W, 3), each over its time in seconds
     (a single frame has none).
 
@@ -267,17 +230,10 @@ def strip(
 
 
 def pose_row(
-    poses: Mapping[str, Motion | None],
-    targets: Tensor,
-    which: Tensor,
-    roles: Mapping[str, str],
-    *,
-    body: BodyModel | None = None,
-    ghost: Motion | None = None,
-    width: int = 190,
-    height: int = 300,
+    poses: Mapping[str, Motion | None], targets: Tensor, which: Tensor, roles: Mapping[str, str], *,
+    body: BodyModel | None = None, ghost: Motion | None = None, width: int = 190, height: int = 300,
     azimuth: float = 35.0,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Draws a panel per label: a pose (1,) or nothing, a ghost in every other panel than its own, and handles (22,) as
     balls at targets (22, 3): (H, W, 3)."""
     with Scene((width * len(poses), height), panels=tuple(poses), azimuth=azimuth, elevation=8.0) as scene:

@@ -66,17 +66,10 @@ class Scene(contextlib.AbstractContextManager):
     """
 
     def __init__(
-        self,
-        size: tuple[int, int] | None = None,
-        *,
-        panels: Sequence[str] = ("",),
-        camera: Camera | None = None,
-        azimuth: float | None = None,
-        elevation: float = 11.0,
-        follow: bool = False,
-        footroom: float = 0.04,
+        self, size: tuple[int, int] | None = None, *, panels: Sequence[str] = ("",), camera: Camera | None = None,
+        azimuth: float | None = None, elevation: float = 11.0, follow: bool = False, footroom: float = 0.04,
         fine: bool = True,
-    ) -> None:
+    ) -> None:  # fmt: skip
         size = size or ((camera.width, camera.height) if camera else (640, 480))
         if camera and abs(size[0] / len(panels) * camera.height / camera.width - size[1]) > 1:
             raise ShapeError(f"size: expected the shape of the camera's {camera.width} x {camera.height}, got {size}")
@@ -283,7 +276,7 @@ class Scene(contextlib.AbstractContextManager):
         if fresh:
             self._framing = viewpoint.choose_framing(self._seen, left=self._left, **self._view)
             for panel in range(len(self.panels)) if self._floor else ():
-                tiles = floor_tiles(self._framing.centres[panel], self._framing.radii[panel])
+                tiles = floor_tiles(*self._framing.floors[panel])
                 look = {"scalars": "paint", "rgb": True, "lighting": False, "reset_camera": False, "render": False}
                 self._panel(panel).add_mesh(tiles, name=f"floor {panel}", **look)
         if fresh or turned or self._view["follow"]:

@@ -25,7 +25,7 @@ _HIGH, _WIDE = np.tan(np.radians((14.0, 17.0)))  # half the view at most: a long
 class Framing:
     """Where the eye of each panel stands; ``tracks`` (T, 3) with their rates where it follows, else empty.
 
-    centres and radii: the piece of floor under each panel.
+    floors: centre (2,) and radius of the piece of floor under each panel.
     """
 
     towards: np.ndarray
@@ -33,8 +33,7 @@ class Framing:
     aspect: float
     targets: Sequence[np.ndarray]
     tracks: list[tuple[np.ndarray, float]]
-    centres: list[np.ndarray]
-    radii: list[float]
+    floors: list[tuple[np.ndarray, float]]
 
     def target(self, panel: int, seconds: float) -> np.ndarray:
         """Returns what the eye of a panel looks at (3,) at a time, if no hand has turned it."""
@@ -76,16 +75,9 @@ class Framing:
 
 
 def choose_framing(
-    seen: list[list[tuple[np.ndarray, float]]],
-    *,
-    aspect: float,
-    azimuth: float | None,
-    elevation: float,
-    left: np.ndarray | None,
-    follow: bool,
-    headroom: float,
-    footroom: float,
-) -> Framing:
+    seen: list[list[tuple[np.ndarray, float]]], *, aspect: float, azimuth: float | None, elevation: float,
+    left: np.ndarray | None, follow: bool, headroom: float, footroom: float,
+) -> Framing:  # fmt: skip
     """Chooses the view of all panels.
 
     Panels share one target while that costs little distance, so that drift between them shows; motions in
@@ -115,11 +107,9 @@ def choose_framing(
     together, far = _fit_view(_around([p for panel in near for p in panel], 0.16), towards, aspect, headroom, footroom)
     if far < 1.4 * distance:
         distance, targets = far, (together,) * len(seen)
-    floors = [_around(panel, 0.0)[:, :2] for panel in paths]
-    centres = [(floor.min(0) + floor.max(0)) / 2 for floor in floors]
-    reach = [np.ptp(floor, axis=0).max() / 2 for floor in floors]
-    radii = [min(float(r + max(4.0, 0.9 * distance)), 40.0) for r in reach]
-    return Framing(towards, distance, aspect, targets, tracks, centres, radii)
+    under, more = [_around(panel, 0.0)[:, :2] for panel in paths], max(4.0, 0.9 * distance)
+    floors = [((at.min(0) + at.max(0)) / 2, min(float(np.ptp(at, axis=0).max() / 2 + more), 40.0)) for at in under]
+    return Framing(towards, distance, aspect, targets, tracks, floors)
 
 
 def left_of(motion: Motion) -> np.ndarray | None:

@@ -88,7 +88,7 @@ def measures(p: Tensor, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
     feet where the true foot stands, mm per frame.
     """
     t, skeleton = truth.positions, truth.skeleton
-    seen, hidden = pose.mpjpe_visible_occluded(p, t, visible.bool(), align="none")
+    seen, hidden = (pose.mpjpe(p, t, align="none", mask=which) for which in (visible.bool(), ~visible.bool()))
     feet = skeleton.indices(list(FEET))
     touching = contacts_from_positions(p[..., skeleton.contact_indices, :], truth.fps, resting_heights(STANDARD))
     return {

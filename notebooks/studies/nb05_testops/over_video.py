@@ -91,5 +91,4 @@ def film(panels: Mapping[str, Panel], count: int, fps: float, path: Path) -> Fil
     frames = [int(frame) for frame in drawn(np.arange(count))]
     rows = [panel(frames) for panel in panels.values()]
     pictures = [side_by_side(dict(zip(panels, row, strict=True))) for row in zip(*rows, strict=True)]
-    shown, rate, size = write_film(pictures, path, fps * len(pictures) / count)  # a draft keeps its length
-    return Film(path, shown, rate, count / fps, 1.0, size, jpeg(pictures[len(pictures) // 2]))
+    return write_film(pictures, path, fps * len(pictures) / count, count / fps)  # a draft keeps its length

@@ -1,6 +1,7 @@
 """The figures of notebook 09: draws as ghosts, regions around joints, and whether they hold what they promise."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -63,14 +64,13 @@ def film(draws: Draws, body: BodyModel, path: Path, **how) -> movie.Film:
     fine, fps = 1 if viz.draft else 2, draws.fit.fps
     scene = staged(draws, body, size=(480 * fine, 420 * fine), **how)
     scene.smooth(False)
-    seconds = (draws.fit.frames - 1) / fps
     with scene:
         clock, pictures = scene.caption(), []
         for now in movie.drawn(np.arange(draws.fit.frames) / fps):
             clock(f"{now:.1f} s")
             pictures.append(np.asarray(Image.fromarray(scene.image(float(now))).reduce(fine)))
-    frames, rate, size = movie.write_film(pictures, path, fps * len(pictures) / draws.fit.frames)
-    return movie.Film(path, frames, rate, seconds, 1.0, size, movie.jpeg(pictures[2 * len(pictures) // 3]))
+    made = movie.write_film(pictures, path, fps * len(pictures) / draws.fit.frames, (draws.fit.frames - 1) / fps)
+    return replace(made, poster=movie.jpeg(pictures[2 * len(pictures) // 3]))
 
 
 def rank_bars(found: Mapping[str, Tensor], *, roles: Mapping[str, str]) -> Figure:

@@ -12,7 +12,7 @@ from motionlab import viz
 from motionlab.body import BodyModel
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion
-from motionlab.viz.movie import Film, drawn, jpeg, stage, write_film
+from motionlab.viz.movie import Film, drawn, stage, write_film
 from motionlab.viz.palette import INK, LINE, colour
 from studies.shared.plots import canvas, paints
 
@@ -36,8 +36,7 @@ def wall(people: Motion, made: Motion, across: int, path: Path, body: BodyModel)
         pictures.append(np.asarray(Image.fromarray(whole).reduce(fine)))
     for scene in scenes:
         scene.close()
-    frames, rate, size = write_film(pictures, path, made.fps * len(pictures) / made.frames)
-    return Film(path, frames, rate, made.seconds, 1.0, size, jpeg(pictures[len(pictures) // 2]))
+    return write_film(pictures, path, made.fps * len(pictures) / made.frames, made.seconds)
 
 
 def measures(

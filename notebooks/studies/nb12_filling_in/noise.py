@@ -19,9 +19,9 @@ from motionlab.bench.rivals import RIDGES
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, sampling
 from motionlab.diffusion.denoising import Noise, noise_size, smoothed
+from motionlab.diffusion.features import UNITS
 from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule
-from motionlab.diffusion.state import UNITS
 from motionlab.heading import local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
 from studies.shared.fill_bench import ERROR, SCORE, Result

@@ -12,6 +12,7 @@ from motionlab import corpus, splits
 from motionlab.bench import cases
 from motionlab.bench.cases import PersonWindows, by_person
 from motionlab.contact import with_contacts
+from motionlab.diffusion.features import units
 from motionlab.diffusion.model import MotionDiffusion
 from motionlab.motion import Motion
 from motionlab.viz.palette import ROLE
@@ -38,7 +39,7 @@ class Rows(NamedTuple):
 
 def rows(model: MotionDiffusion, motion: Motion, whose: Tensor, lacks: Tensor) -> Rows:
     """Windows (N, T) whose legs are hidden. lacks (N, 1, U): joints that a figure does not have."""
-    kept = cases.columns(model.layout, cases.legs(len(whose), motion.frames) | lacks)
+    kept = (cases.legs(len(whose), motion.frames) | lacks)[..., units(model.layout)]
     labelled = with_contacts(motion) if motion.contacts is None else motion
     return Rows(model.encode(labelled).flatten(1), whose, kept.flatten(1))
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from motionlab.bench import rivals
+from motionlab.baselines import interpolate
 from motionlab.bench.rivals import RIDGES, Rivals
-from motionlab.diffusion import completer, state
+from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import Completer, guess
+from motionlab.diffusion.features import units
 from motionlab.diffusion.inpainting import Inpainting, inpaint
 from motionlab.diffusion.model import MotionDiffusion, motion_model
-from motionlab.diffusion.windows import units
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.training.training_loop import fast_halves
@@ -34,7 +34,7 @@ PLAIN = Inpainting(steps=50)  # Eq. 4.10; 250 steps left no less
 LEFT = Inpainting(steps=50, replace_last=False)  # not written back after the last step
 MIXED = Inpainting(steps=50, replace_last=False, blend_frames=EDGE)  # and then mixed with what is known
 BLENDED = Inpainting(steps=50, mask_ramp=EDGE)  # 4.2.5
-_GUIDED = Inpainting(known="impute", guidance_weight=1.0, steps=25)
+_GUIDED = Inpainting(guidance_weight=1.0, steps=25)
 _GUIDED_IN_TIME = replace(_GUIDED, replace_last=False, blend_frames=EDGE)
 #: Guided, by whether a case has edges in time, and whether every window has a mask of its own: chosen on validation
 #: people, of weights 1 to 20, 25 and 50 steps, with and without the last writing back.
@@ -84,7 +84,7 @@ class Models:
         local, frame = stuck_root(motion)
         if local.contacts is None:
             local = replace(local, contacts=motion.root.new_zeros(*motion.root.shape[:-1], 9))
-        made = state.motion_of(guess(local, known, *self.r.sizes), local)
+        made = features.motion_of(guess(local, known, *self.r.sizes), local)
         return local_to_world(frame, replace(made, contacts=None))
 
     def ridge(self, motion: Motion, known: Tensor, how: tuple[float, int], seed: int | None) -> Motion:
@@ -141,7 +141,7 @@ def _contenders(m: Models, clips: Tensor, draws: int) -> Mapping[str, Contender]
     ours = {"told": False, "rival": False}
     slow = ours | {"draws": 2, "few": _FEW}
     return {
-        "slerp": Contender(lambda x, k, *_: rivals.interpolated(x, k), in_time),
+        "slerp": Contender(lambda x, k, *_: interpolate(x, k[..., :-2]), in_time),
         "curves": Contender(lambda x, k, *_: m.curves(x, k), in_time),
         "nearest": Contender(lambda x, k, how, _: m.rivals.nearest(x, k, how), fades),
         "Gaussian": Contender(lambda x, k, how, _: m.ridge(x, k, how, None), ridges),

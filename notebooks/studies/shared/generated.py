@@ -62,7 +62,7 @@ def shares(made: Judged, real: Judged, whose: Tensor) -> dict[str, Tensor]:
 
 def frechet(made: Judged, real: Judged) -> float:
     """The Frechet distance of the features."""
-    return generation.frechet(made.latent, real.latent).value
+    return generation.frechet(made.latent, real.latent)
 
 
 def ratio(name: str) -> Callable[[Judged, Judged], float]:

@@ -88,7 +88,7 @@ def described(made: Motion, real: Motion | None = None) -> dict[str, float]:
         features = motion_encoder("features_real")
         x, y = features(made), features(real)
         found |= {
-            "coverage": generation.density_coverage(x, y).coverage, "frechet": generation.frechet(x, y).value,
+            "coverage": generation.density_coverage(x, y).coverage, "frechet": generation.frechet(x, y),
             "recall": generation.precision_recall(x, y).recall,
         }  # fmt: skip
     return {name: float(f"{float(value):.5g}") for name, value in found.items()}

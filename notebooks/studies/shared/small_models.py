@@ -23,7 +23,7 @@ import torch
 from motionlab import corpus, splits
 from motionlab.bench.cases import PersonWindows, person_windows
 from motionlab.bench.judge import FRAMES
-from motionlab.diffusion.model import DenoiserRecipe, LossWeights, MotionDiffusion, load_denoiser, save_denoiser
+from motionlab.diffusion.model import LOSS_WEIGHTS, DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.files import write_whole
@@ -35,8 +35,7 @@ from studies.shared import small_measures
 #: Where rows are kept, from ``notebooks/``.
 RECORDS = Path(__file__).parents[2] / "results" / "long"
 STEPS, LONGER = 1000, 10  # of the optimiser; times that where somebody stops training
-ALL = LossWeights()
-BASE = DenoiserRecipe(size="small", patch=4, steps=STEPS, batch=16, lr=2e-3, warm_up=100, dropout=0.0, weights=ALL)
+BASE = DenoiserRecipe(size="small", patch=4, steps=STEPS, batch=16, lr=2e-3, warm_up=100, dropout=0.0)
 _EACH, _PRACTICE = 12, 6  # windows of a test and of a validation person
 _KEEP, _JUDGEMENTS = 250, 20  # steps between two states kept; judgements of a run that is stopped
 
@@ -68,7 +67,7 @@ def _seeded(seeds: int, *arms: Arm) -> list[Arm]:
 
 
 def _losses(**weights: float) -> DenoiserRecipe:
-    return replace(BASE, weights=replace(ALL, **weights))
+    return replace(BASE, weights=LOSS_WEIGHTS | weights)
 
 
 _WORLD = replace(BASE, frame="world")

@@ -17,7 +17,7 @@ from torch import Tensor
 from motionlab.baselines import curve_weights
 from motionlab.diffusion import windows
 from motionlab.diffusion.completer import _LOUD, _ROOT, Completer, binomial_smoothed, motion_waves
-from motionlab.diffusion.state import MADE, UNITS, owners
+from motionlab.diffusion.features import MADE, OWNERS, UNITS
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD
 from motionlab.training.completer_training import _SILENT, _SQUARED, _WEIGHTS
@@ -37,7 +37,7 @@ class Constants:
         there = lambda x: torch.as_tensor(x).to(device)  # noqa: E731
         self.mirror, self.flip, self.floor = there(partner), there([-1.0, 1.0, 1.0]), there([-1.0, -1.0, 0.0])
         self.swap = there([names.index(STANDARD.names[partner[j]]) for j in STANDARD.contact_indices])
-        self.contact, self.owners = there(STANDARD.contact_indices), owners().to(device)
+        self.contact, self.owners = there(STANDARD.contact_indices), OWNERS.to(device)
         legs = torch.ones(UNITS, dtype=torch.bool)
         legs[[j for j, name in enumerate(STANDARD.names) if name.endswith(windows.LEGS)]] = False
         self.legs, self.last = there(legs), there(torch.arange(UNITS) == UNITS - 1)
@@ -96,7 +96,7 @@ def _change(x: Tensor, rate: float) -> Tensor:
 
 
 def rows(root: Tensor, rot: Tensor, contacts: Tensor, k: Constants) -> Tensor:
-    """``state.rows``."""
+    """``features.states``."""
     heading, places = _yaw(rot[:, :, 0]), fk(root, rot, k)
     turn = _about_z(-heading)
     moves = _change(places.flatten(2), FPS).unflatten(2, (J, 3)) @ turn.mT

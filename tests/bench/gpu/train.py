@@ -39,9 +39,8 @@ sys.path.insert(0, str(Path(__file__).parents[3]))
 
 from motionlab import rotation
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.features import Normaliser
+from motionlab.diffusion.features import Normaliser, sizes
 from motionlab.diffusion.model import DenoiserRecipe
-from motionlab.diffusion.state import sizes
 from motionlab.diffusion.windows import Windows
 from tests.bench.gpu import steps
 
@@ -101,7 +100,7 @@ class Run:
             self.units = (usual.mean, usual.scale) if drawn else (numbers[0, 0], numbers[0, 0])
             left = self.recipe.schedule.alpha_bar
             self.signal, self.noise = (x.float().sqrt().to(k.device) for x in (left, 1 - left))
-            self.counts = self.recipe.weights.parts()
+            self.counts = self.recipe.weights
         else:
             self.recipe = CompleterRecipe.read(how["recipe"])
             if strange := {name for name, _ in self.recipe.kinds} - set(steps.ORDER):
