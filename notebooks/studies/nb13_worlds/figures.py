@@ -11,8 +11,9 @@ from studies.shared.plots import canvas
 
 #: Arms in the order they are drawn, with their colours.
 ROLES = {"stuck": "ours", "world": "axis-angle", "world, 8 cm": "6d"}
-_NAMES = ("x (m)", "y (m)", "height (m)")
-_TINTS = ("ours", "axis-angle", "6d", "stage2", "baseline", "quaternion")
+#: Of the pelvis's nine numbers: the name of each, or of the first of several, and its colour.
+_NAMES = {0: "x", 1: "y", 2: "height", 3: "six numbers of the rotation"}
+_TINTS = ("ours", "axis-angle", "6d", "stage2")
 
 
 def two_layouts(here: Mapping[str, Tensor], there: Mapping[str, Tensor], fps: float) -> Figure:
@@ -24,15 +25,15 @@ def two_layouts(here: Mapping[str, Tensor], there: Mapping[str, Tensor], fps: fl
     for k, (name, rows) in enumerate(here.items()):
         time = np.arange(len(rows)) / fps
         for ax, columns in zip(axes[2 * k : 2 * k + 2], (range(3), range(3, 9)), strict=True):
-            for j, role in zip(columns, _TINTS, strict=False):
-                tint = colour(role)
-                ax.plot(time, rows[:, j], color=tint, lw=1.6, label=_NAMES[j] if j < 3 else None)
-                ax.plot(time, there[name][:, j], color=tint, lw=1.6, ls=(0, (2, 2)), alpha=0.7)
+            for j in columns:
+                ax.plot(time, rows[:, j], color=colour(_TINTS[min(j, 3)]), lw=2.6, label=_NAMES.get(j))
+                ax.plot(time, there[name][:, j], color=INK, lw=1.0, ls=(0, (2, 2)))
             ax.set_xlabel("time (s)")
         axes[2 * k].set_title(f"{name}: place (m)")
         axes[2 * k + 1].set_title(f"{name}: rotation")
         axes[2 * k + 1].set_ylim(-1.1, 1.1)
-    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
+    labels = [ax.get_legend_handles_labels() for ax in axes[:2]]
+    fig.legend(*(a + b for a, b in zip(*labels, strict=True)), loc="outside lower center", ncols=4, fontsize=9)
     return fig
 
 
