@@ -48,7 +48,7 @@ def planted(motion: Motion) -> Animated:
     slides = [float(slide_in_contact_mm(m.positions[:, feet], stands)) for m in (before, after)]
     note = f"feet that stand slide {slides[0]:.1f} mm a frame before, {slides[1]:.1f} after"
     note = note if stands.any() else "no foot stands: the motion stays as it is"
-    where = f"the floor is taken to be at {0 - body.lift:.2f} m, where the feet are lowest"
+    where = f"the floor is taken to be at {round(0 - body.lift, 2) + 0.0:.2f} m, where the feet are lowest"
     return Animated(made, (*body.notes(True), note, where))
 
 

@@ -40,7 +40,8 @@ def _rtmpose() -> Callable:
             network = BodyWithFeet(mode="balanced", backend="onnxruntime", device="cpu")
     except ImportError as error:  # of rtmlib, or of the onnxruntime that it imports when a network is made
         what = f"a package of the optional extra that finds keypoints ({error})"
-        raise MissingData(what, f"In the checkout: pip install -e '.[detect]'. {_OTHERWISE}") from error
+        how = "In the checkout: pip install -c constraints.txt -e '.[detect]'."
+        raise MissingData(what, f"{how} {_OTHERWISE}") from error
     except Exception as error:
         how = f"What is there cannot be used ({type(error).__name__}: {error}): delete it, and try again."
         if isinstance(error, OSError | http.client.HTTPException):  # what a download raises, not onnxruntime
