@@ -109,10 +109,10 @@ class FitDiagnostics:
 
     def sentences(self) -> tuple[str, ...]:
         """Returns a sentence for every clip that is doubtful."""
-        unit = "{:.0f} px" if self.pixels else "{:.2f} m"
+        chi2, misfit, unit = self.latent_chi2.tolist(), self.misfit.tolist(), "{:.0f} px" if self.pixels else "{:.2f} m"
         return tuple(
-            f"stage 3 doubts clip {k}: latent chi2 {self.latent_chi2[k]:.2f} (up to {MAX_LATENT_CHI2:g} is usual), "
-            f"what was seen is missed by {unit.format(self.misfit[k])}"
+            f"stage 3 doubts clip {k}: latent chi2 {chi2[k]:.2f} (up to {MAX_LATENT_CHI2:g} is usual), "
+            f"what was seen is missed by {unit.format(misfit[k])}"
             for k in self.doubtful.nonzero()[:, 0].tolist()
         )
 
