@@ -10,7 +10,7 @@ import detected
 import numpy as np
 import pytest
 import seeds
-from loaders import LOADERS, check_error, numbers_of
+from loaders import LOADERS, numbers_of, refused
 
 from motionlab import io
 from motionlab.errors import DataError
@@ -41,19 +41,16 @@ WHOLE = {
 def test_files_that_are_no_such_files(tmp_path, kind, how):
     path = tmp_path / f"bad{kind}"
     path.write_bytes(WHOLE[how](seeds.SEEDS[kind]))
-    with pytest.raises(DataError) as caught:
+    with refused("bad"):
         LOADERS[kind](path)
-    check_error(caught.value, "bad")
 
 
 @pytest.mark.parametrize("kind", [kind for kind in seeds.SEEDS if kind != "openpose.json"])
 def test_nothing_there_or_a_folder(tmp_path, kind):
-    with pytest.raises(DataError) as caught:
+    with refused("none", "no such file"):
         LOADERS[kind](tmp_path / f"none{kind}")
-    check_error(caught.value, "none", "no such file")
-    with pytest.raises(DataError) as caught:
+    with refused(str(tmp_path)):
         LOADERS[kind](tmp_path)
-    check_error(caught.value, str(tmp_path))
 
 
 def text(kind: str, old: str, new: str, count: int = 1) -> bytes:
@@ -148,9 +145,8 @@ def test_malformed_files_say_what_where_and_what_to_do(tmp_path, name):
     kind, data, words = MALFORMED[name]
     path = tmp_path / f"bad{kind}"
     path.write_bytes(data)
-    with pytest.raises(DataError) as caught:
+    with refused(*words):
         LOADERS[kind](path)
-    check_error(caught.value, *words)
 
 
 @pytest.mark.parametrize("fps", [0, -30, float("nan"), float("inf"), None, "30"])
@@ -163,9 +159,8 @@ def test_frame_rates_from_callers_are_checked(tmp_path, fps):
 
 def test_openpose_folders_that_are_none(tmp_path):
     for folder, words in ((tmp_path, "no numbered JSON"), (tmp_path / "none", "no such file")):
-        with pytest.raises(DataError, match=words) as caught:
+        with refused(words):
             openpose.load(folder, fps=30)
-        check_error(caught.value)
     (tmp_path / "a1.json").write_text('{"people": []}')
     with pytest.raises(DataError, match="nobody"):
         openpose.load(tmp_path, fps=30)
@@ -203,9 +198,8 @@ def test_pickles_are_never_executed(tmp_path, canary, kind, protocol):
     path = tmp_path / f"bad{kind}"
     for thing in (Hostile(canary), {"v_template": Hostile(canary)}, {**SMPL, "weights": Hostile(canary)}):
         path.write_bytes(pickle.dumps(thing, protocol=protocol))
-        with pytest.raises(DataError) as caught:
+        with refused("bad"):
             LOADERS[kind](path)
-        check_error(caught.value, "bad")
 
 
 @pytest.mark.parametrize("kind", ["amp.npz", "amass.npz", "anidance.npz", "smpl.npz", "plain.npz"])
@@ -226,6 +220,5 @@ def test_archives_that_promise_too_much(tmp_path):
     path = tmp_path / "bad.npz"
     with zipfile.ZipFile(path, "w") as target:
         target.writestr("poses.npy", member)
-    with pytest.raises(DataError, match="promises shape") as caught:
+    with refused("poses", "promises shape"):
         amass.load(path)
-    check_error(caught.value, "poses")
