@@ -94,10 +94,21 @@ def is_a_file_for_viewers(names: dict) -> None:
 
 
 def is_what_the_export_computes(names: dict) -> None:
-    expected = onnx_export.curves_of(names["known"] > 0.5)
-    assert abs(names["curves"] - expected).max() < 1e-6 and names["rotations"].shape == (1, 60, 22, 3, 3)
+    """Of the example, and of a walk what the network computes: known frames to the bit, the others to 1e-4."""
+    frames = names["known"] > 0.5
+    assert abs(names["curves"] - onnx_export.curves_of(frames)).max() < 1e-6
+    assert names["rotations"].shape == (1, 60, 22, 3, 3)
     still = abs(names["root"] - [0, 0, 0.95]).max((0, 2))
     assert still[:15].max() < 1e-6 > still[45:].max() and 1e-4 < still[15:45].max() < 1.0
+    walk = windows(on_standard(resample(WALK, 30)), 60, 60).clip(slice(1, 2))
+    given = names["given"] | {"root": walk.root.numpy(), "rotations": walk.rot.numpy()}
+    root, rot = names["session"].run(None, {name: x.astype("float32") for name, x in given.items()})
+    known = torch.from_numpy(frames)[..., None].repeat(1, 1, len(STANDARD) + 2)
+    known[..., -1] = False
+    made = completer.load("completer").complete(walk, known)
+    assert abs(root - made.root.numpy()).max() < 1e-4 and abs(rot - made.rot.numpy()).max() < 1e-4
+    assert (root[frames] == given["root"][frames]).all() and (rot[frames] == given["rotations"][frames]).all()
+    assert abs(rot - given["rotations"]).max() > 1e-2
 
 
 PROMISES = (
