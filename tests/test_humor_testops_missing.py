@@ -125,7 +125,7 @@ def test_a_single_joint_is_followed_by_an_upright_body(kit, walk):
     assert (fitted.motion.rot[:, :, 0, 2, 1] > 0.85).all()  # the body's own up is within 30 degrees of it
 
 
-@pytest.mark.parametrize("frames", [1, 2, 15])
+@pytest.mark.parametrize("frames", [1, 2])
 def test_short_clips(kit, walk, frames):
     clip = walk.cut(0, frames)
     fitted = testops.fit(joints(clip), kit, schedule=QUICK)
