@@ -81,7 +81,6 @@ POSES = AMASS["poses"]
 MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "bvh: absurdly many frames": (".bvh", text(".bvh", r"Frames:\s*4", "Frames: 1000000000000"), ()),
     "deepmimic: nested without end": ("deepmimic.txt", b'{"Frames": ' + b"[" * 100_000, ()),
-    "amp: names missing": ("amp.npz", archive(AMP, node_names=None), ("node_names",)),
     "amass: 155 columns": ("amass.npz", archive(AMASS, poses=POSES[:, :155]), ("poses", "155")),
     "amass: trans too short": ("amass.npz", archive(AMASS, trans=np.zeros((3, 3))), ("trans",)),
     "amass: trans missing": ("amass.npz", archive(AMASS, trans=None), ("trans",)),
