@@ -48,27 +48,22 @@ class Elsewhere(Tensor):
 
 def _here(func, args, kwargs):
     """The operation on the CPU's tensors, its results where they belong."""
-    there = [x for x in tree_leaves((args, kwargs)) if isinstance(x, Elsewhere)]
-    strangers = [x for x in tree_leaves((args, kwargs)) if _stranger(x)]
-    if there and strangers and func.overloadpacket not in _ACROSS:
+    tensors = [x for x in tree_leaves((args, kwargs)) if isinstance(x, Tensor)]
+    others = [x for x in tensors if not isinstance(x, Elsewhere)]
+    there = len(others) < len(tensors)
+    if there and any(x.ndim for x in others) and func.overloadpacket not in _ACROSS:  # one number goes along anywhere
         _FOUND.append((_place(), func.overloadpacket.__name__))
-    if any(isinstance(x, Tensor) and x.is_meta and not isinstance(x, Elsewhere) for x in tree_leaves((args, kwargs))):
+    if any(x.is_meta for x in others):
         raise NotImplementedError(f"{func} at {_place()}: a tensor was made elsewhere behind our back")
     asked = kwargs.get("device")
     if asked is not None:
         kwargs = kwargs | {"device": torch.device("cpu")}
-    out = func(
-        *tree_map_only(Elsewhere, lambda x: x.inner, args), **tree_map_only(Elsewhere, lambda x: x.inner, kwargs)
-    )
+    args_here, kwargs_here = tree_map_only(Elsewhere, lambda x: x.inner, (args, kwargs)) if there else (args, kwargs)
+    out = func(*args_here, **kwargs_here)
     if (torch.device(asked) if asked is not None else ELSEWHERE if there else None) != ELSEWHERE:
         return out
     out = tree_map_only(Tensor, lambda x: x if isinstance(x, Elsewhere) else Elsewhere(x), out)
     return return_and_correct_aliasing(func, args, kwargs, out) if there else out
-
-
-def _stranger(x: object) -> bool:
-    """A tensor of the CPU of more than one number: a single one goes along on any device."""
-    return isinstance(x, Tensor) and not isinstance(x, Elsewhere) and x.ndim > 0
 
 
 def _place() -> str:

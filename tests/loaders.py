@@ -1,10 +1,13 @@
 """One way to call every loader on one file, and what to ask of its result or its error."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
 import calibrated
 import detected
+import pytest
 import seeds
 import torch
 
@@ -97,3 +100,11 @@ def check_error(error: DataError, *words: str) -> None:
     assert all(str(part) in text for part in (error.path, error.place, error.remedy))
     for word in words:
         assert word in text
+
+
+@contextmanager
+def refused(*words: str, match: str | None = None) -> Iterator[None]:
+    """A loader that is called within answers so."""
+    with pytest.raises(DataError, match=match) as caught:
+        yield
+    check_error(caught.value, *words)

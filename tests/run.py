@@ -14,7 +14,8 @@ CORES = str(max(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinit
 #: A file's tests on one worker, as what they share is made once; files in the order they are given in.
 BY_FILE = ["-n", CORES, "--dist", "loadfile", "--no-loadscope-reorder"]
 #: What takes longest begins first, so that no core waits for it at the end.
-LONGEST = [f"tests/test_{n}.py" for n in ("humor_testops", "diffusion_training", "humor_fit_cli")]
+_LONG = "own_footage commands_many humor_testops_missing readme humor_shooting humor_testops humor_fit_cli viz"
+LONGEST = [f"tests/test_{name}.py" for name in _LONG.split()]
 ONE_THREAD = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "LP_NUM_THREADS")  # of each worker
 
 

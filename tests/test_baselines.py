@@ -116,17 +116,11 @@ def test_kalman_smoother_agrees_with_dense_least_squares(generator):
         np.testing.assert_allclose(found[:, d], dense_smoother(x[:, d].numpy(), 1 / 30, 0.5, 20.0), atol=1e-4)
 
 
-def test_kalman_of_many_columns_is_one_matrix(generator, monkeypatch):
-    """What it makes of unit pulses, put together, is what it makes of the columns frame by frame."""
-    x, asked, kalman = 5 * torch.randn(2, 25, 30, generator=generator, dtype=F64).cumsum(-2), [], baselines.kalman
-    monkeypatch.setattr(baselines, "kalman", lambda *given: asked.append(given[0]) or kalman(*given))
-    found = kalman(x, 30.0, 0.5, 20.0)
-    assert len(asked) == 1 and torch.equal(asked.pop(), torch.eye(25, dtype=F64))
-    assert (found[0, :, :25] - kalman(x[0, :, :25], 30.0, 0.5, 20.0)).abs().max() < 1e-6  # no more columns than frames
-    x[1, 3, 7] = torch.nan
-    with pytest.raises(DataError, match="NaN"):
-        kalman(x, 30.0, 0.5, 20.0)
-    assert len(asked) == 0
+def test_kalman_of_many_columns_is_that_of_few(generator):
+    """Where there are more numbers than pairs of frames, they go through one matrix."""
+    x = 5 * torch.randn(2, 25, 30, generator=generator, dtype=F64).cumsum(-2)
+    found = baselines.kalman(x, 30.0, 0.5, 20.0)
+    assert (found[0, :, :25] - baselines.kalman(x[0, :, :25], 30.0, 0.5, 20.0)).abs().max() < 1e-6
 
 
 @pytest.mark.parametrize("name", ["fps", "noise", "acceleration"])

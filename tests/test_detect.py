@@ -182,7 +182,14 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
     monkeypatch.setitem(sys.modules, "rtmlib", None)
     with pytest.raises(MissingData) as caught:
         detect.find(video, tmp_path / "keypoints.npz")
-    for word in ("pip install -e '.[detect]'", "--keypoints", "OpenPose", "MMPose", "AlphaPose", "--write_json"):
+    for word in (
+        "pip install -c constraints.txt -e '.[detect]'",
+        "--keypoints",
+        "OpenPose",
+        "MMPose",
+        "AlphaPose",
+        "--write_json",
+    ):
         assert word in str(caught.value)
 
     bare, damaged = "No module named 'onnxruntime'", "INVALID_PROTOBUF : Load model from yolox.onnx failed"

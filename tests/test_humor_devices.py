@@ -13,7 +13,7 @@ from motionlab.humor.testops import Schedule
 from tests.elsewhere import ELSEWHERE, Elsewhere, elsewhere, moved
 from tests.fit_inputs import joints, keypoints
 
-FRAMES = 6
+FRAMES = 5
 FEW = Schedule(
     steps=(1, 1, 1),
     inner=1,

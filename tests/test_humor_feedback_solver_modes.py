@@ -16,7 +16,7 @@ from tests.draws import seeded
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, of_both, total
 
-ALONE = Plan(rounds=12, closures=20, tolerance=1e-5, mode_jumps=0)
+ALONE = Plan(rounds=8, closures=20, tolerance=1e-5, mode_jumps=0)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_where_a_search_has_ended_its_own_mode_promises_nothing(case, settled):
 
 def test_a_search_that_jumps_ends_in_the_deeper_mode_and_one_that_does_not_stays(case, settled):
     problem, unknown = case
-    found, fits = solve(problem, unknown, replace(ALONE, mode_jumps=1))
+    found, fits = solve(problem, unknown, replace(ALONE, rounds=6, mode_jumps=1))
     assert (component(problem, settled) == 0).all() and (component(problem, found) == 1).all()
     assert (total(problem, found) < total(problem, settled) - 0.1).all()
     torch.testing.assert_close(total(problem, found), fits[-1].energy, atol=0, rtol=1e-9)
@@ -158,7 +158,8 @@ def test_a_person_who_stops_one_row_stops_its_clip_and_what_is_not_finite_is_nob
 def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
     """Not a number, or so far that nothing is finite."""
     problem, unknown = case
-    alone, _ = solve(problem, unknown, replace(ALONE, rounds=1))
+    once = replace(ALONE, rounds=1, closures=8)
+    alone, _ = solve(problem, unknown, once)
 
     def nowhere(problem, unknown, white, most, share):
         stay = torch.arange(CLIPS).repeat(3)
@@ -167,7 +168,7 @@ def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
         return stay, white.first[stay], first
 
     monkeypatch.setattr(feedback_solver, "_starts", nowhere)
-    found, fits = solve(problem, unknown, replace(ALONE, rounds=1, mode_jumps=2))
+    found, fits = solve(problem, unknown, replace(once, mode_jumps=2))
     torch.testing.assert_close(total(problem, found), total(problem, alone), rtol=1e-9, atol=0)
     assert fits[0].history.isfinite().all()
 
@@ -188,9 +189,10 @@ def test_of_searches_that_race_the_lowest_goes_on_alone(case, settled, monkeypat
     """It ends in the mode that all of them together end in, and goes on from where the race left it."""
     problem, _ = case
     sizes = rows_of_searches(monkeypatch)
-    found, fits = solve(problem, settled, replace(ALONE, mode_jumps=1, halving_after=4))
+    plan = replace(ALONE, rounds=3, mode_jumps=1)
+    found, fits = solve(problem, settled, replace(plan, halving_after=4))
     assert sizes[:2] == [2 * CLIPS, CLIPS]
-    together, _ = solve(problem, settled, replace(ALONE, mode_jumps=1))
+    together, _ = solve(problem, settled, plan)
     leapt = component(problem, found) == 1
     assert leapt.any() and torch.equal(leapt, component(problem, together) == 1)
     assert (total(problem, found) < total(problem, settled) - 0.1)[leapt].all()
@@ -213,7 +215,7 @@ def test_who_stays_after_a_race_jumps_no_more(case, monkeypatch, race):
         return every, white.first[every], first
 
     monkeypatch.setattr(feedback_solver, "_starts", astray)
-    plan = replace(ALONE, rounds=3, mode_jumps=1, halving_after=race, tolerance=0.0)
+    plan = replace(ALONE, rounds=3, closures=6, mode_jumps=1, halving_after=race, tolerance=0.0)
     _, fits = solve(problem, unknown, plan)
     assert len(fits) == 3 and asked == ([1, 0, 0] if race else [1, 1, 1])
 

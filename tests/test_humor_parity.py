@@ -1,5 +1,6 @@
 """Every golden array of the official code against the value computed here."""
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,8 +18,16 @@ from studies.shared import savings
 FOLDER = Path(__file__).parent / "golden"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def drawn_once():
+    """Weights of full size take a second to draw."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parity, "seeded", cache(parity.seeded))
+        yield
+
+
 @pytest.fixture(scope="module")
-def rows():
+def rows(drawn_once):
     return parity.parity_rows(FOLDER)
 
 

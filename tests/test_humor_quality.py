@@ -19,8 +19,8 @@ PERFORMANCES = (1, UNSEEN.sequences - 1)  # the last by the person kept from tra
 @pytest.fixture(scope="module")
 def take():
     motions = [perform_sequence(UNSEEN, index).motion for index in PERFORMANCES]
-    x = torch.cat([state.from_motion(m, causal=True).float().unfold(0, 61, 61).mT for m in motions])
-    return x, torch.cat([m.contacts.unfold(0, 61, 61).mT for m in motions])
+    x = torch.cat([state.from_motion(m, causal=True).float().unfold(0, 61, 122).mT for m in motions])
+    return x, torch.cat([m.contacts.unfold(0, 61, 122).mT for m in motions])
 
 
 @pytest.fixture

@@ -19,8 +19,14 @@ from motionlab.humor.testops import Schedule
 from motionlab.observation import look_at
 from studies.shared import savings
 from tests.fit_inputs import QUICK, error, finite, joints, keypoints
+from tests.interrupted import interrupted
 
 POSES = Schedule(steps=(2, 4, 0), inner=20)
+
+
+@pytest.fixture(scope="module")
+def short(walk):
+    return walk.cut(0, 8)
 
 
 # --------------------------------------------------------------------------------------------------- what is found
@@ -39,11 +45,11 @@ def test_stages_one_and_two_find_clean_keypoints(kit, walk, camera):
     assert (error(fitted.motion, walk) < 0.5).all()
 
 
-def test_stage_three_is_a_roll_out_of_what_it_returns(kit, walk):
-    fitted = testops.fit(joints(walk), kit, schedule=QUICK)
+def test_stage_three_is_a_roll_out_of_what_it_returns(kit, short):
+    fitted = testops.fit(joints(short), kit, schedule=QUICK)
     again = rollout(kit.motion, fitted.first[:, 0], fitted.z[:, 0]).states
     torch.testing.assert_close(state.unpack(again)["trans"], fitted.motion.root[:, 1:], atol=1e-5, rtol=0)
-    assert fitted.contacts.shape == (2, 24, 9)
+    assert fitted.contacts.shape == (2, 8, 9)
     assert (fitted.contacts[:, 0] == fitted.contacts[:, 1]).all()
 
 
@@ -92,12 +98,12 @@ def test_a_search_ends_by_its_own_energy(control, monkeypatch):
 
 
 # ------------------------------------------------------------------------------------------------ what is survived
-def test_no_batch_axis(kit, walk):
-    assert testops.fit(joints(walk.clip(0)), kit, schedule=QUICK).motion.root.shape == (1, 24, 3)
+def test_no_batch_axis(kit, short):
+    assert testops.fit(joints(short.clip(0)), kit, schedule=QUICK).motion.root.shape == (1, 8, 3)
 
 
-def test_an_unknown_camera_is_assumed_and_said(kit, walk, camera):
-    seen = replace(keypoints(walk, camera), camera=None)
+def test_an_unknown_camera_is_assumed_and_said(kit, short, camera):
+    seen = replace(keypoints(short, camera), camera=None)
     fitted = testops.fit(seen, kit, schedule=QUICK)
     assert finite(fitted)
     assert "focal length" in fitted.notes[0]
@@ -105,8 +111,8 @@ def test_an_unknown_camera_is_assumed_and_said(kit, walk, camera):
     assert "guessed" not in testops.fit(seen, kit, schedule=QUICK, size=(1280, 720)).notes[0]
 
 
-def test_the_floor_is_refined_where_asked(kit, walk, camera):
-    seen = keypoints(walk, camera)
+def test_the_floor_is_refined_where_asked(kit, short, camera):
+    seen = keypoints(short, camera)
     fixed = testops.fit(seen, kit, schedule=QUICK)
     free = testops.fit(seen, kit, schedule=QUICK, floor="refine")
     torch.testing.assert_close(fixed.cameras[0].rotation, camera.rotation, atol=1e-6, rtol=0)
@@ -114,17 +120,9 @@ def test_the_floor_is_refined_where_asked(kit, walk, camera):
     assert "floor_reg" in free.energies[3] and "floor_reg" not in fixed.energies[3]
 
 
-def test_ctrl_c_keeps_the_best_so_far(kit, walk, monkeypatch):
-    calls, real = [], stages.pose_terms
-
-    def tired(*args, **how):
-        calls.append(1)
-        if len(calls) == 15:
-            raise KeyboardInterrupt
-        return real(*args, **how)
-
-    monkeypatch.setattr(stages, "pose_terms", tired)
-    fitted = testops.fit(joints(walk), kit, schedule=QUICK)
+def test_ctrl_c_keeps_the_best_so_far(kit, short, monkeypatch):
+    monkeypatch.setattr(stages, "pose_terms", interrupted(stages.pose_terms, 15))
+    fitted = testops.fit(joints(short), kit, schedule=QUICK)
     assert finite(fitted)
     assert 3 not in fitted.stages
     assert any("interrupted" in note for note in fitted.notes)
@@ -256,7 +254,7 @@ def official_and_faithful(kit, seen, weights):
     unknown = replace(testops.start_stage_1(p), betas=torch.full((2, 8), 0.3))
     motion = unknowns.motion_of(unknowns.pose(unknown, kit, p.evidence), 30.0)
     shared = unknown.shared()
-    how = (shared, p.evidence.confidence_per_joint, kit, (0,), 24, p.mode)
+    how = (shared, p.evidence.confidence_per_joint, kit, (0,), motion.frames, p.mode)
     rolled, _ = starts.start_stage_3(motion, unknown.latent[:, 0], *how)
     noise = torch.Generator().manual_seed(0)
     for stage, at in ((1, unknown), (2, unknown), (3, rolled)):
@@ -273,12 +271,12 @@ def official_and_faithful(kit, seen, weights):
 
 @pytest.mark.parametrize("exact", [True, False], ids=["exact heading", "official heading"])
 @pytest.mark.parametrize("view", [True, False], ids=["2-D", "3-D"])
-def test_official_and_faithful_modes_see_one_energy_and_one_gradient(kit, walk, camera, view, exact, monkeypatch):
+def test_official_and_faithful_modes_see_one_energy_and_one_gradient(kit, short, camera, view, exact, monkeypatch):
     """In float64, with the heading put right, to 1e-5. With the official acos (the control) stage 3 differs, and its
     gradient by more than its value."""
     if exact:
         monkeypatch.setattr(savings, "alignment", savings.exact_alignment)
-    seen, weights = (keypoints(walk, camera), RGB) if view else (joints(walk), JOINTS)
+    seen, weights = (keypoints(short, camera), RGB) if view else (joints(short), JOINTS)
     for stage, (ours, our_slopes), (theirs, their_slopes) in official_and_faithful(kit, seen, weights):
         assert ours.keys() == theirs.keys() and len(ours) >= (1, 4, 8)[stage - 1]
         terms = max(((ours[n] - theirs[n]).abs().max() / ours[n].abs().max()).item() for n in ours)

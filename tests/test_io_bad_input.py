@@ -10,7 +10,7 @@ import detected
 import numpy as np
 import pytest
 import seeds
-from loaders import LOADERS, check_error, numbers_of
+from loaders import LOADERS, numbers_of, refused
 
 from motionlab import io
 from motionlab.errors import DataError
@@ -41,19 +41,16 @@ WHOLE = {
 def test_files_that_are_no_such_files(tmp_path, kind, how):
     path = tmp_path / f"bad{kind}"
     path.write_bytes(WHOLE[how](seeds.SEEDS[kind]))
-    with pytest.raises(DataError) as caught:
+    with refused("bad"):
         LOADERS[kind](path)
-    check_error(caught.value, "bad")
 
 
 @pytest.mark.parametrize("kind", [kind for kind in seeds.SEEDS if kind != "openpose.json"])
 def test_nothing_there_or_a_folder(tmp_path, kind):
-    with pytest.raises(DataError) as caught:
+    with refused("none", "no such file"):
         LOADERS[kind](tmp_path / f"none{kind}")
-    check_error(caught.value, "none", "no such file")
-    with pytest.raises(DataError) as caught:
+    with refused(str(tmp_path)):
         LOADERS[kind](tmp_path)
-    check_error(caught.value, str(tmp_path))
 
 
 def text(kind: str, old: str, new: str, count: int = 1) -> bytes:
@@ -84,7 +81,6 @@ POSES = AMASS["poses"]
 MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "bvh: absurdly many frames": (".bvh", text(".bvh", r"Frames:\s*4", "Frames: 1000000000000"), ()),
     "deepmimic: nested without end": ("deepmimic.txt", b'{"Frames": ' + b"[" * 100_000, ()),
-    "amp: names missing": ("amp.npz", archive(AMP, node_names=None), ("node_names",)),
     "amass: 155 columns": ("amass.npz", archive(AMASS, poses=POSES[:, :155]), ("poses", "155")),
     "amass: trans too short": ("amass.npz", archive(AMASS, trans=np.zeros((3, 3))), ("trans",)),
     "amass: trans missing": ("amass.npz", archive(AMASS, trans=None), ("trans",)),
@@ -148,9 +144,8 @@ def test_malformed_files_say_what_where_and_what_to_do(tmp_path, name):
     kind, data, words = MALFORMED[name]
     path = tmp_path / f"bad{kind}"
     path.write_bytes(data)
-    with pytest.raises(DataError) as caught:
+    with refused(*words):
         LOADERS[kind](path)
-    check_error(caught.value, *words)
 
 
 @pytest.mark.parametrize("fps", [0, -30, float("nan"), float("inf"), None, "30"])
@@ -163,9 +158,8 @@ def test_frame_rates_from_callers_are_checked(tmp_path, fps):
 
 def test_openpose_folders_that_are_none(tmp_path):
     for folder, words in ((tmp_path, "no numbered JSON"), (tmp_path / "none", "no such file")):
-        with pytest.raises(DataError, match=words) as caught:
+        with refused(words):
             keypoints.load_person(folder, fps=30)
-        check_error(caught.value)
     (tmp_path / "a1.json").write_text('{"people": []}')
     with pytest.raises(DataError, match="nobody"):
         keypoints.load_person(tmp_path, fps=30)
@@ -203,9 +197,8 @@ def test_pickles_are_never_executed(tmp_path, canary, kind, protocol):
     path = tmp_path / f"bad{kind}"
     for thing in (Hostile(canary), {"v_template": Hostile(canary)}, {**SMPL, "weights": Hostile(canary)}):
         path.write_bytes(pickle.dumps(thing, protocol=protocol))
-        with pytest.raises(DataError) as caught:
+        with refused("bad"):
             LOADERS[kind](path)
-        check_error(caught.value, "bad")
 
 
 @pytest.mark.parametrize("kind", ["amp.npz", "amass.npz", "anidance.npz", "smpl.npz", "plain.npz"])
@@ -226,6 +219,5 @@ def test_archives_that_promise_too_much(tmp_path):
     path = tmp_path / "bad.npz"
     with zipfile.ZipFile(path, "w") as target:
         target.writestr("poses.npy", member)
-    with pytest.raises(DataError, match="promises shape") as caught:
+    with refused("poses", "promises shape"):
         amass.load(path)
-    check_error(caught.value, "poses")

@@ -245,14 +245,3 @@ def test_wrong_contents(tmp_path, name, write):
     with pytest.raises(DataError) as caught:
         smpl.load(path)
     assert caught.value.place.startswith(place) and caught.value.remedy and str(path) in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"\x00" * 100, b"PK\x03\x04 not a zip", b"hello", pickle.dumps([1, 2]), pickle.dumps({}), b"\x80\x05", b"."],
-)
-def test_not_a_body_at_all(tmp_path, content):
-    path = tmp_path / "model.pkl"
-    path.write_bytes(content)
-    with pytest.raises(DataError, match=r"model\.pkl.*remedy"):
-        smpl.load(path)

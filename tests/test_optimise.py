@@ -75,8 +75,7 @@ def test_quadratics_of_any_condition():
         assert closures_of(batch, b) <= 1.1 * alone.closures
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-@pytest.mark.parametrize("memory", [3, 100])
+@pytest.mark.parametrize(("dtype", "memory"), [(torch.float64, 3), (torch.float32, 100)])
 def test_neighbours_change_nothing(dtype, memory):
     """Bit by bit the same iterates alone, among others, and in another order."""
     x = starts(dtype=dtype)

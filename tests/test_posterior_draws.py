@@ -46,7 +46,7 @@ def least(truth):
         return made.found(*truth[:2])
 
 
-def rise(least, temperature, count=48):
+def rise(least, temperature, count=16):
     """By how much the energy of draws is above its minimum, over what half the squared length of their coordinates is
     on average, as an exact quadratic has it; and the bodies."""
     seen, heard = [], posterior.unwhiten

@@ -295,9 +295,8 @@ def test_a_slider_draws_on_its_own_thread_and_skips_what_is_overtaken():
     assert [thread for thread, _ in drawn] == [threading.get_ident()] and shown == "0.70 s"
 
 
-@pytest.fixture(scope="module")
-def fresh():
-    """Lines that a process of its own wrote, out and err: after imports, after a first picture, after a trame view."""
+def test_a_fresh_process_is_silent_loads_what_it_draws_with_late_and_sends_pictures_offline():
+    """Colours and captures need no graphics library, and a first picture writes nothing to stderr."""
     code = """
 import sys, warnings, motionlab.viz.palette, data_synth.capture, data_synth.body, data_synth.corpus
 print([m for m in sys.modules if m.startswith(("vtk", "pyvista"))])
@@ -321,19 +320,9 @@ asyncio.run(main())
     code = f"{inspect.getsource(until)}{code}"
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines(), done.stderr.partition("and now trame\n")
-
-
-def test_colours_and_captures_need_no_graphics_library(fresh):
-    assert fresh[0][0] == "[]"
-
-
-def test_a_first_picture_writes_nothing_to_stderr(fresh):
-    assert fresh[0][1] == "(48, 64, 3)" and fresh[1][0] == ""
-
-
-def test_a_trame_view_starts_offline_and_is_sent_pictures(fresh):
-    assert fresh[0][2:] == ["1 True False"] and "Error" not in fresh[1][2], fresh[1][2]
+    before, _, after = done.stderr.partition("and now trame\n")
+    assert done.stdout.splitlines() == ["[]", "(48, 64, 3)", "1 True False"] and before == ""
+    assert "Error" not in after, after
 
 
 def test_an_overlay_meets_the_rendered_body_at_any_scale():
