@@ -1,7 +1,5 @@
 """Writes files whole, the old or the new one and never a part of it; and tells whether code changed."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import hashlib

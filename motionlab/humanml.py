@@ -11,8 +11,6 @@ shoulders against hips and is smoothed over 20 frames. Differs: bones keep their
 and a turn through straight back keeps its sign.
 """
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 from itertools import pairwise

@@ -3,8 +3,6 @@
 Source: Wampler 1986; Nakamura and Hanafusa 1986 (damped least squares), the finish that thesis 4.2.4 leaves to others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Runs independent jobs on several processes, one thread each; more threads only where a batch is large enough."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal

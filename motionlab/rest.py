@@ -5,8 +5,6 @@ joint as they like. Then the pose is worked out from the movement: a bone lies w
 bends about one axis, and what has neither is turned, on the whole, as what it hangs on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import permutations

@@ -3,8 +3,6 @@
 First how a skeleton is read, then the transfer there and back, then what that loses of a rig.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 

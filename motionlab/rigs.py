@@ -5,8 +5,6 @@ Names differ in spelling (``mixamorig:LeftUpLeg``, ``thigh_l``, ``Bip01 L Thigh`
 of a limb, and of all ways to read a limb from the trunk outwards that which explains most of it is taken.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """Audits skinning weights: which joints move a vertex and which should; what is spurious; what pruning moves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple

@@ -5,8 +5,6 @@ body's own template with them crushes its chest. So the template is remade: limb
 hips and shoulders the body's own trunk, scaled.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

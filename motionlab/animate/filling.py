@@ -9,8 +9,6 @@ and feet that stand are planted.
 Source: thesis 4.2.1 (in-betweening, occluded legs), 4.4.1 (seams); inertialisation (Bollo 2018) for the curves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches

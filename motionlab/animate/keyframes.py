@@ -1,7 +1,5 @@
 """A widget for JupyterLab in which a person chooses what of a motion stays and sees the rest filled in."""
 
-from __future__ import annotations
-
 import contextlib
 import html
 import time

@@ -4,8 +4,6 @@ Source: Kovar et al. 2002 (``animate.foot_locking``); Holden 2023, "Creating loo
 thesis 4.1.2 for motion in place.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -7,8 +7,6 @@
 Source: thesis 4.2.1 (denoising), 4.2.4 (poses from handles), 4.2.3 (generation).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

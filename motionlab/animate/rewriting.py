@@ -5,8 +5,6 @@ whatever else the file holds (End Sites, betas, a skin) stays. Frames may be add
 also have fewer, and another frame rate; a GLB in other frames gets one more animation.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 from contextlib import suppress

@@ -1,8 +1,6 @@
 """``inbetween``, ``repair``, ``complete``, ``plant``, ``cycle`` and ``retarget`` of a motion file or a folder of them,
 each by its function; and ``generate``."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from functools import partial

@@ -1,8 +1,6 @@
 """Runs a function over many clips, on this machine or on a Dask cluster: finished ones are skipped, one that fails or
 kills its process is named and the others go on, and what is done stays done."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import traceback

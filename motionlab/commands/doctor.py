@@ -1,7 +1,5 @@
 """Checks what this machine has and lacks, and names the remedy for each lack."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import platform

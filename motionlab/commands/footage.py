@@ -1,7 +1,5 @@
 """``fit``: from a video and its keypoints to a scene, one clip or a folder of them."""
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from functools import partial

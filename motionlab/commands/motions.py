@@ -1,8 +1,6 @@
 """``show`` and ``convert``; and what the commands on motion files share: what is read and said of a file, films and
 tables."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections import Counter

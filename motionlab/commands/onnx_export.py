@@ -7,8 +7,6 @@ with numpy alone). It gives back root and rotations, known frames to the bit. Co
 has to be known.
 """
 
-from __future__ import annotations
-
 import argparse
 import warnings
 from pathlib import Path

@@ -1,8 +1,6 @@
 """The commands and their options, and what runs each: one table. Nothing heavy is imported here, so that ``--help``
 takes no time; the module that runs a command is imported when it does."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math

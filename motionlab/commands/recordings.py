@@ -1,7 +1,5 @@
 """``data`` and ``prepare``: what a folder of recordings holds, and training motion of it."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -1,7 +1,5 @@
 """What a fit is given: keypoints, the footage that they are of, and the camera that took it, put together."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

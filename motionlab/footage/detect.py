@@ -3,8 +3,6 @@
 rtmlib downloads its weights at first use. Anything that finds people can stand in its place, see ``find``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import io

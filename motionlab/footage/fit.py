@@ -4,8 +4,6 @@
 and a report. ``fit.json`` says at the end whether the folder is finished: not stopped, and nothing left to draw.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

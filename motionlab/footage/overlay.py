@@ -1,7 +1,5 @@
 """People over what filmed them: skins through the camera in front of a picture, beside the scene from the side."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 

@@ -8,8 +8,6 @@ A fit knows adults. A scene that is 1.7 times as large looks the same to a camer
 child of 1 m is fitted as an adult of 1.7 m, and everything is then made smaller again.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Writes the report of a fit: terminal summary and one offline HTML page."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping, Sequence
 from itertools import groupby

@@ -8,7 +8,7 @@ The initial-state prior is a mixture of Gaussians over joints and velocities of 
 
     features (138): joints 66 | joints_vel 66 | trans_vel 3 | root_orient_vel 3, in the state's own heading frame
 
-``pretrained`` loads them, ``prior_training`` and ``training`` make them.
+``pretrained`` loads them, ``training.recipes`` makes them.
 
 Source: VPoser (Pavlakos et al. 2019), as HuMoR uses it; HuMoR (Rempe et al. 2021), section 4.2 and its official code:
 12 components, full covariances.

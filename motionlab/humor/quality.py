@@ -95,12 +95,10 @@ def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
 
 
 @torch.no_grad()
-def plausibility(
-    model: Cvae, first: Tensor, steps: int, generator: torch.Generator, *, rigid: bool = False
-) -> dict[str, Tensor]:
+def plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Generator) -> dict[str, Tensor]:
     """Computes what samples of ``steps`` frames from first states (W, 339) look like, one number each (W,), z drawn
     from the prior: slide, feet up, penetration, sunk, acceleration and bones, as ``_looks`` defines them."""
-    return _looks(first, sample_rollout(model, first, steps, generator=generator, rigid=rigid).states)
+    return _looks(first, sample_rollout(model, first, steps, generator=generator).states)
 
 
 @torch.no_grad()

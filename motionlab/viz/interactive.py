@@ -1,7 +1,5 @@
 """What reacts in JupyterLab: a time slider over motions, and an experiment whose knobs redraw its picture."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import contextlib

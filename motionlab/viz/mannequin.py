@@ -1,8 +1,6 @@
 """The figure of a skeleton: rigid solids around its bones; the surfaces, lights and words of a scene;
 the floor's tiles, and the shadow that each body throws on them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Films of motions side by side in sync, and key poses in one picture."""
 
-from __future__ import annotations
-
 import base64
 import io
 import os

@@ -3,8 +3,6 @@
 Source: Okabe & Ito 2008 (black, orange, sky, green, blue, vermillion, purple), Tol 2021 (wine, indigo); brown is ours.
 """
 
-from __future__ import annotations
-
 from matplotlib.colors import to_rgb
 
 ROLE = {  # what a thing is in the argument, and the one colour it has in all notebooks

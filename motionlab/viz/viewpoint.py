@@ -1,7 +1,5 @@
 """Chooses where the eye of a scene stands: one direction and distance for all panels, or exactly a pinhole camera's."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
