@@ -52,9 +52,7 @@ def _yolo(at: Location, lines: list[tuple[int, str]]) -> Detections:
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
         points = next((points for points in choices if _in_box(points, values[1:5])), None)
         if points is None:
-            raise at.error(
-                "no class, box and keypoints of a person in it", remedy="save a pose model's labels (save_txt)"
-            )
+            raise at.error("no box and keypoints of a person in it", remedy="save a pose model's labels (save_txt)")
         more = words[5 + points.size :]
         tracked = len(more) == 2 or bool(more and whole_number(more[0]))  # one number: a confidence, or an id from 1
         scores = points[:, 2] if points.shape[1] == 3 else None
