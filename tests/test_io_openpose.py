@@ -7,7 +7,7 @@ import torch
 
 from motionlab.errors import DataError
 from motionlab.io import keypoints
-from motionlab.io.detections import BODY_25B, COCO_18, LAYOUTS, to_body_25
+from motionlab.io.detections import BODY_25B, LAYOUTS, to_body_25
 from motionlab.observation import BODY_25
 from tests.recorded import DATA, needs_data
 
@@ -57,7 +57,7 @@ def test_layouts_are_told_apart_and_mapped_by_name(tmp_path, layout):
 def test_layouts_name_the_points_as_openpose_does():
     for layout, names in LAYOUTS.items():
         assert len(set(names)) == len(names) == int(layout.split("_")[1].rstrip("B"))
-    assert COCO_18[8] == "right_hip" and COCO_18[14:] == BODY_25[15:19]
+    assert LAYOUTS["COCO_18"][8] == "right_hip" and LAYOUTS["COCO_18"][14:] == BODY_25[15:19]
     assert BODY_25B[16] == "right_ankle" and BODY_25B[17:19] == ("upper_neck", "head_top")
     assert set(BODY_25B) - set(BODY_25) == {"upper_neck", "head_top"}
 

@@ -144,7 +144,8 @@ def _check_pixels(at: Location, k: np.ndarray, width: int, height: int) -> None:
     if not (fx > 0 and fy > 0):
         raise at.error("expected a positive focal length and image size")
     if not _FOCAL[0] * max(width, height) < min(fx, fy) <= max(fx, fy) < _FOCAL[1] * max(width, height):
-        raise at.error(f"focal lengths {fx:g} and {fy:g} for {width} x {height} pixels", remedy="give them in pixels")
+        message = f"focal lengths of {fx:g} and {fy:g} pixels for an image of {width} x {height}"
+        raise at.error(message, remedy="give them in pixels: not in mm, nor as shares of the image's size")
     if abs(skew) > 1e-3 * fx or abs(k[2, 2] - 1) > 1e-6 or np.abs(k[[1, 2, 2], [0, 0, 1]]).max() > 1e-6:
         raise at.error("expected rows fx 0 cx, 0 fy cy, 0 0 1", remedy="pixels that are skewed are not modelled")
     off, turned = (max(abs(cx / w - 0.5), abs(cy / h - 0.5)) for w, h in ((width, height), (height, width)))

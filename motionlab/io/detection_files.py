@@ -52,7 +52,7 @@ def _yolo(at: Location, lines: list[tuple[int, str]]) -> Detections:
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
         points = next((points for points in choices if _in_box(points, values[1:5])), None)
         if points is None:
-            raise at.error("no class, box and keypoints in it", remedy="save the labels of a pose model (save_txt)")
+            raise at.error("no box and keypoints of a person in it", remedy="save a pose model's labels (save_txt)")
         more = words[5 + points.size :]
         tracked = len(more) == 2 or bool(more and whole_number(more[0]))  # one number: a confidence, or an id from 1
         scores = points[:, 2] if points.shape[1] == 3 else None
@@ -350,7 +350,7 @@ def _bodies(at: Location, value: object) -> list[tuple[dict | list, int | None]]
             mine = whole_number(first_of(value, detections.ID))
             return [(body, mine if name is None else name) for body, name in _bodies(at, inner)]
         if first_of(value, _WORLD) is not None:
-            raise at.error("world landmarks alone, in metres", remedy="save the image landmarks (pose_landmarks)")
+            raise at.error("world landmarks alone: 3-D, in metres", remedy="save the image landmarks (pose_landmarks)")
         return [(value, None)] if value else []
     if _is_body(value):
         return [(value, None)]

@@ -94,7 +94,7 @@ def _chunks(at: Location) -> tuple[dict, bytes]:
     text, chunk = (data, b"") if data.lstrip()[:1] == b"{" else _of_glb(at, data)
     content, blob, starts = json.loads(text.decode()), b"", []
     if packed := [name for name in content.get("extensionsRequired", ()) if name.endswith("meshopt_compression")]:
-        raise at.error(f"packed by {packed[0]}", place="extensionsRequired", remedy="unpack it (gltf-transform copy)")
+        raise at.error(f"packed, by {packed[0]}", place="extensionsRequired", remedy="unpack it (gltf-transform copy)")
     for buffer in content.get("buffers", ()):
         starts.append(len(blob))
         part = _named(at, buffer["uri"]) if "uri" in buffer else chunk

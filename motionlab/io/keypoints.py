@@ -288,10 +288,12 @@ def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | Non
         people[unsure] = 0
     seen = score > 0
     if seen.any() and (xy[seen] < 0).mean() > _NEGATIVE:
-        raise at.error("around zero, as of 3-D or centred points", place="coordinates", remedy="save them in pixels")
+        message = "coordinates around zero are no place in an image, but 3-D (world landmarks in metres) or centred"
+        raise at.error(message, place="coordinates", remedy="save the image's landmarks, in pixels or from 0 to 1")
     if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
         if size is None:
-            raise at.error("these are shares of the image", place="size", remedy="say its size: size=, or --size")
+            message = "coordinates are shares of an image whose size the file does not hold"
+            raise at.error(message, place="size", remedy="pass size=(width, height), or --size")
         xy *= size
         notes.append(f"coordinates are shares of the image: multiplied by its size, {size[0]:g} x {size[1]:g}")
     return notes
