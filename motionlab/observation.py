@@ -52,7 +52,7 @@ class Camera:
 
     intrinsics (3, 3): pixels. rotation (3, 3): camera from world. translation (3,): metres.
     width, height: image size in pixels. distortion: of the lens that took the images, none or OpenCV's coefficients;
-    a pinhole knows nothing of it: ``lens`` takes it out of keypoints and pictures.
+    a pinhole knows nothing of it: ``io.cameras`` takes it out of keypoints and pictures.
     """
 
     intrinsics: Tensor

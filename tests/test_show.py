@@ -39,8 +39,7 @@ def filmed(monkeypatch):
 
 # ------------------------------------------------------------------------------------------------ the command
 def subcommands() -> dict[str, argparse.ArgumentParser]:
-    (choices,) = [action.choices for action in parser()._actions if action.dest == argparse.SUPPRESS]
-    return choices
+    return parser().commands.choices
 
 
 def example(parser: argparse.ArgumentParser) -> list[str]:

@@ -1,7 +1,5 @@
 """Reads and writes recordings: loaders give metres, seconds, z up, and raise a DataError where a file is at fault."""
 
-from __future__ import annotations
-
 import inspect
 import zipfile
 from collections.abc import Callable

@@ -1,8 +1,6 @@
 """Sequences of SMPL, SMPL+H or SMPL-X body parameters: AMASS and its kin as npz, and what GVHMR, WHAM, TRAM, PHALP
 (4DHumans) and AIST++ give as .pt, .pkl or .npy."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Container
 from pathlib import Path

@@ -1,7 +1,5 @@
 """ASF/AMC, the files of the CMU motion capture database: a skeleton and the joint angles of one take."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field

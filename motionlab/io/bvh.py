@@ -4,8 +4,6 @@ A file does not say its unit or its up axis. Both can be given; what is not give
 recording and written into ``Motion.notes``, together with everything else that had to be decided.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ tables goes with the camera (OpenCV's model: ``distorted``, ``undistorted``). Th
 the files seen so far have |k1| < 0.05, which moves a point by at most a few pixels near the rim.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree

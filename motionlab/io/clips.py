@@ -4,8 +4,6 @@ AMP: poselib's arrays, any skeleton, quaternions x first. DeepMimic: frames of 4
 humanoid.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

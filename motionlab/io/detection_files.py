@@ -1,8 +1,6 @@
 """What 2-D pose detectors write, one small reader a format: JSON of many kinds, YOLO-pose's lines, CSV, TRC in pixels,
 npz of our own."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable

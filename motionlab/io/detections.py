@@ -5,8 +5,6 @@ A reader keeps what the file says: NaN where it says nothing, units and scores a
 ``keypoints`` to say.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace

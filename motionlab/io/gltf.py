@@ -8,8 +8,6 @@ Blender, three.js and glTF bind a vertex with world_j inverse_bind_j; ours are [
 Source: the glTF 2.0 specification (Khronos), 3.7.3 Skins, 3.11 Animations, 4.4 GLB layout, appendix C on interpolation.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

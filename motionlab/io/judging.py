@@ -1,8 +1,6 @@
 """One judge of size, axes and root for every format: what is given is taken, what a file says is believed unless its
 figure speaks against it, what it does not say is worked out from the figure; what was not given is said in notes."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import replace

@@ -5,8 +5,6 @@ it, arrays are then rebuilt from those records by this module, and a name outsid
 tensors, plain containers, what a body of SMPL holds) is refused before anything is built.
 """
 
-from __future__ import annotations
-
 import codecs
 import io
 import math

@@ -5,8 +5,6 @@ Every loader does its work inside ``with reading(path, remedy) as at``, moves ``
 its caller's ``reading``. Nothing here executes what it reads.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

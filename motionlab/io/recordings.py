@@ -4,8 +4,6 @@ The folder has one sub-folder per source. The sources of the project's data set 
 folder is searched for files that a loader knows, so that a folder of one's own works in the same way.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """SMPL-format bodies (SMPL, SMPL+H, SMPL-X) from npz, and from the official pkl files without running them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

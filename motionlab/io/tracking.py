@@ -1,7 +1,5 @@
 """People through time: who of one frame is who of the next, by where their keypoints lie and their boxes overlap."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Footage: a video or a folder of numbered images, its rate and size; whether the camera that took it moved; and
 what the numbers of its images mean."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
