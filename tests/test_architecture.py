@@ -14,7 +14,7 @@ FLOORS = """
     diffusion.sampling files optimise rotation skeleton
     checkpoint motion rigs
     body
-    baselines cleaning contact heading humanml ik observation rest skinning tailoring
+    baselines cleaning contact heading humanml ik observation rest skinning
     data_synth diffusion.encoder diffusion.features humor.body_shape humor.state io
         metrics retarget viz
     splits

@@ -16,13 +16,12 @@ from scipy.spatial.transform import Rotation
 from data_synth.body import capsule_body
 from motionlab import io, rotation
 from motionlab.animate import rewriting
-from motionlab.body import lbs
+from motionlab.body import lbs, tailored
 from motionlab.errors import DataError, ShapeError
 from motionlab.io import gltf, recordings
 from motionlab.motion import Motion
 from motionlab.rest import reframed
 from motionlab.skeleton import STANDARD, UPRIGHT, fk
-from motionlab.tailoring import tailored
 
 FRAMES, FPS = 21, 30.0
 WORLD_FROM_GLTF = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0.0]])

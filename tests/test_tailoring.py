@@ -8,10 +8,9 @@ import pytest
 import torch
 
 from motionlab import io
-from motionlab.body import BodyModel, lbs
+from motionlab.body import BodyModel, lbs, tailored
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD, Skeleton, fk
-from motionlab.tailoring import tailored
 from tests.recorded import DATA, needs_data
 
 #: Where rigs have what they move (pelvis at the origin; x left, y up, z forward, metres), and how long limbs are

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.body import BodyModel
+from motionlab.body import BodyModel, tailored
 from motionlab.errors import ShapeError
 from motionlab.files import write_whole
 from motionlab.io import judging
@@ -31,7 +31,6 @@ from motionlab.io.reading import RATES, Location, check_writable, checked_array,
 from motionlab.motion import Motion
 from motionlab.rest import reframed
 from motionlab.skeleton import Skeleton
-from motionlab.tailoring import tailored
 
 MAGIC, JSON_CHUNK, BIN_CHUNK = b"glTF", b"JSON", b"BIN\0"
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}

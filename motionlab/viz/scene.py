@@ -20,11 +20,10 @@ import torch
 from torch import Tensor
 
 from motionlab import viz
-from motionlab.body import BodyModel, lbs
+from motionlab.body import BodyModel, lbs, tailored
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion
 from motionlab.observation import Camera
-from motionlab.tailoring import tailored
 from motionlab.viz import mannequin, viewpoint
 from motionlab.viz.mannequin import Shadow, floor_tiles
 from motionlab.viz.palette import INK, LINE, PAPER, blend, colour

@@ -20,9 +20,8 @@ import pytest
 import torch
 from PIL import Image
 
-from motionlab.body import BodyModel, lbs
+from motionlab.body import BodyModel, lbs, tailored
 from motionlab.io import gltf
-from motionlab.tailoring import tailored
 
 pytestmark = pytest.mark.interop
 FRAMES = (0, 17, 40, 63, 80)
