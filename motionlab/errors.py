@@ -1,7 +1,5 @@
 """Errors that say what was expected, what came, and what to do about it."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -35,7 +33,7 @@ class NotConverged(RuntimeError):
     """A procedure stopped before its tolerance was met."""
 
 
-def check_shape(x: Tensor, pattern: str, name: str) -> dict[str, int]:
+def check_shape(x: "Tensor", pattern: str, name: str) -> dict[str, int]:
     """Checks the trailing axes of a tensor and returns the sizes that the pattern names.
 
     The pattern is words separated by spaces: ``...`` (first only) for any batch axes, a number for

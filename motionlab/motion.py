@@ -1,11 +1,10 @@
 """Motion: the value that travels, and what can be done to any motion."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import torch
@@ -73,12 +72,12 @@ class Motion:
         """Joint positions (..., T, J, 3), metres, world."""
         return self.world[0]
 
-    def cut(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Motion:
+    def cut(self, start: int | None = None, stop: int | None = None, step: int | None = None) -> Self:
         """Frames start:stop:step; a step divides the frame rate."""
         pick, every = slice(start, stop, step), slice(None)
         return self._each(lambda x, after: x[(..., pick, *after * [every])], fps=self.fps / (step or 1))
 
-    def clip(self, index) -> Motion:
+    def clip(self, index) -> Self:
         """One entry (or a slice) of the leading batch axis, with its own skeleton where each has one."""
         offsets = self.skeleton.offsets
         if offsets.ndim == self.rot.ndim - 1:  # (N or 1, ..., 1, J, 3)
@@ -86,11 +85,11 @@ class Motion:
             offsets = offsets[0] if self.rot[index].ndim == 4 and len(offsets) == 1 else offsets
         return self._each(lambda x, _: x[index], skeleton=replace(self.skeleton, offsets=offsets))
 
-    def to(self, *args, **kwargs) -> Motion:
+    def to(self, *args, **kwargs) -> Self:
         """Every tensor on another device or of another dtype."""
         return self._each(lambda x, _: x.to(*args, **kwargs), skeleton=self.skeleton.to(*args, **kwargs))
 
-    def _each(self, change: Callable[[Tensor, int], Tensor], **rest) -> Motion:
+    def _each(self, change: Callable[[Tensor, int], Tensor], **rest) -> Self:
         """Every tensor of frames changed, by a function that is told how many axes come after time."""
         contacts = None if self.contacts is None else change(self.contacts, 1)
         return replace(self, root=change(self.root, 1), rot=change(self.rot, 3), contacts=contacts, **rest)

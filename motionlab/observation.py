@@ -1,9 +1,8 @@
 """What a fit is given: a camera and 2-D keypoints with confidence, never the true motion."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
@@ -14,7 +13,7 @@ from motionlab.errors import ShapeError, check_shape
 from motionlab.motion import FPS
 
 
-def at_rate(observation: Observation2D, *, times: np.ndarray | None = None) -> Observation2D:
+def at_rate(observation: "Observation2D", *, times: np.ndarray | None = None) -> "Observation2D":
     """Computes keypoints at 30 frames a second: linear where both frames saw the point, else the nearer frame's.
 
     The first frame stays; no sample lies behind the last. times (T,): seconds of uneven frames since the first.
@@ -72,7 +71,7 @@ class Camera:
         """Position (3,) of the camera, metres, world."""
         return -self.rotation.mT @ self.translation
 
-    def to(self, *args, **kwargs) -> Camera:
+    def to(self, *args, **kwargs) -> Self:
         """Returns the camera on another device or of another dtype."""
         moved = {k: getattr(self, k).to(*args, **kwargs) for k in ("intrinsics", "rotation", "translation")}
         return replace(self, **moved)

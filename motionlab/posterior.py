@@ -16,10 +16,9 @@ Source: Lee, Barber and Willett 2023 (conformal prediction where people bring ma
 ``notebooks/studies/nb09_posterior``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -55,7 +54,7 @@ class Draws:
     hidden: Tensor
     diagnostics: tuple[str, ...] = ()
 
-    def changed(self, how: Callable[[Motion], Motion]) -> Draws:
+    def changed(self, how: Callable[[Motion], Motion]) -> Self:
         """Returns the same draws, each of their motions changed alike: moved, or made larger."""
         return replace(self, fit=how(self.fit), motions=how(self.motions))
 

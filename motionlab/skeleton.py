@@ -5,11 +5,10 @@ a body stands in a T with x to its left, y up and z forward, as SMPL's does; the
 rotation carries the difference: ``UPRIGHT`` stands a body up facing world +y.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import torch
@@ -117,11 +116,11 @@ class Skeleton:
         above = world[..., list(self.parents[1:]), :, :]
         return torch.cat((world[..., :1, :, :], above.mT @ world[..., 1:, :, :]), dim=-3)
 
-    def scaled(self, factor: float) -> Skeleton:
+    def scaled(self, factor: float) -> Self:
         """Returns the same skeleton, every length times ``factor``."""
         return replace(self, offsets=self.offsets * factor, sole=self.sole * factor)
 
-    def to(self, *args, **kwargs) -> Skeleton:
+    def to(self, *args, **kwargs) -> Self:
         """Returns the skeleton with offsets on another device or of another dtype."""
         return replace(self, offsets=self.offsets.to(*args, **kwargs))
 

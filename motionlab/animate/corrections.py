@@ -5,11 +5,10 @@ standard joint was corrected goes back to the joint that it stands for, so that 
 What is kept stays bit for bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -42,7 +41,7 @@ class KeyMask:
     joints: Tensor
 
     @classmethod
-    def of(cls, motion: Motion, frames: Tensor | None = None, hidden: Collection[int] | None = None) -> KeyMask:
+    def of(cls, motion: Motion, frames: Tensor | None = None, hidden: Collection[int] | None = None) -> Self:
         """Returns what is kept of a motion: these frames; and, where some joints are hidden, all others."""
         joints = torch.full((len(motion.skeleton),), hidden is not None)
         joints[sorted(hidden or ())] = False
@@ -78,7 +77,7 @@ class Rig:
     known: Tensor
 
     @classmethod
-    def of(cls, motion: Motion, drawn: Motion, keep: KeyMask, lift: float = 0.0) -> Rig:
+    def of(cls, motion: Motion, drawn: Motion, keep: KeyMask, lift: float = 0.0) -> Self:
         """Makes it by retargeting what curves have drawn. lift: metres up to the floor, where no frame is kept to tell.
 
         Raises:

@@ -8,11 +8,10 @@ z ~ N(0, I), F of the training windows' principal parts, one F answers every mas
 z = (F_K^T F_K + w I)^-1 F_K^T (x_K - m_K).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -55,7 +54,7 @@ class Rivals:
     ridge: float = 10.0
 
     @classmethod
-    def fit(cls, windows: Motion, generator: torch.Generator, *, parts: int = 384) -> Rivals:
+    def fit(cls, windows: Motion, generator: torch.Generator, *, parts: int = 384) -> Self:
         """Of windows (N, T) on the standard body. parts: K, at most."""
         layout = Layout("stuck", contacts=False)
         numbers = layout.encode(windows)
@@ -100,7 +99,7 @@ class Rivals:
 
         return self._filled(motion, known, find, finish)
 
-    def tuned(self, truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None) -> Rivals:
+    def tuned(self, truth: Motion, known: Tensor, joints: tuple[str, ...] | None = None) -> Self:
         """With the ridge that leaves ``regression`` the least joint error on windows that settings are chosen on."""
         best = chosen(RIDGES, lambda w: replace(self, ridge=w).regression(truth, known), truth, known, joints)
         return replace(self, ridge=best)

@@ -13,11 +13,10 @@ an interpolation); Salimans and Ho 2022 (angles, v); Song et al. 2021 (DDIM). A 
 al. 2017; Xiong et al. 2020).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -73,7 +72,7 @@ class CompleterRecipe:
     seed: int = 0
 
     @classmethod
-    def read(cls, content: dict) -> CompleterRecipe:
+    def read(cls, content: dict) -> Self:
         """Reads a recipe from ``asdict``, as JSON gives it back."""
         return cls(**content | {"kinds": tuple((name, odds) for name, odds in content["kinds"])})
 

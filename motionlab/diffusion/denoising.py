@@ -3,10 +3,9 @@
 Source: thesis 4.2.1, "Denoising: come up with a better test".
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -30,7 +29,7 @@ class Noise:
     lasting: float = 0.0
 
     @classmethod
-    def of(cls, degrees: float, centimetres: float, lasting: float = 0.0) -> Noise:
+    def of(cls, degrees: float, centimetres: float, lasting: float = 0.0) -> Self:
         """Returns the noise of so many degrees and centimetres."""
         return cls(degrees * torch.pi / 180, centimetres / 100, lasting)
 

@@ -10,10 +10,9 @@ Differs: stuck to the first frame's heading, not to its whole orientation, so th
 not per number (half the held-out error after the same training).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -108,7 +107,7 @@ class Normaliser:
     scale: Tensor
 
     @classmethod
-    def measure(cls, rows: Tensor, layout: Layout, *, root_unit: float = 0.0) -> Normaliser:
+    def measure(cls, rows: Tensor, layout: Layout, *, root_unit: float = 0.0) -> Self:
         """Measures mean and scale on training rows (..., D). A group that never changes keeps its size.
 
         root_unit: metres that are one unit of the root's place; 0: its deviation, which is mostly how far people walk,

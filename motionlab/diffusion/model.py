@@ -8,12 +8,11 @@ and shape.
 Differs, where asked: several frames in one token, which halves the work.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field, fields
 from functools import cache
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -113,7 +112,7 @@ class DenoiserRecipe:
     seed: int = 0
 
     @classmethod
-    def read(cls, content: dict) -> DenoiserRecipe:
+    def read(cls, content: dict) -> Self:
         """Reads a recipe from ``asdict``, as JSON gives it back.
 
         Raises:

@@ -8,12 +8,11 @@ after(x_{t-1}, x_0 estimate, t) -> x_{t-1} behind every step, which is where kno
 Source: thesis Eqs. 4.1-4.7; Ho et al. 2020; Nichol and Dhariwal 2021; Song et al. 2021 (DDIM).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -61,7 +60,7 @@ class NoiseSchedule:
         """(T,): variance that a step adds, Eq. 4.1."""
         return 1 - self.alpha
 
-    def respaced(self, count: int) -> NoiseSchedule:
+    def respaced(self, count: int) -> Self:
         """Returns the same process in fewer steps: evenly spaced from the first to the last, each with its old stamp.
 
         Source: Nichol and Dhariwal 2021, ``space_timesteps``.

@@ -5,13 +5,11 @@ Differs: a model may have a linear layer past the decoder, ``skip``, which begin
 velocity" (and then knows velocities of the past, ``Cvae.causal``), and one past the encoder, ``direct``.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
@@ -124,7 +122,7 @@ class Cvae(nn.Module):
         raw = _rows(self.decoder, torch.cat((past, z), dim=-1))
         return raw if self.skip is None else raw + self.skip(past)
 
-    def frozen(self) -> Cvae:
+    def frozen(self) -> Self:
         """Returns itself, in evaluation mode, its weights without gradients: what a fit wants."""
         return self.eval().requires_grad_(requires_grad=False)
 

@@ -3,10 +3,9 @@
 Nothing that is missing carries a number: NaN, infinite and undetected entries become zeros of weight zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -118,7 +117,7 @@ class View:
         shift = -(turn @ centre[..., None])[..., 0]
         return [Camera(*each, *self.size) for each in zip(self.intrinsics, turn, shift, strict=True)]
 
-    def rows(self, index: Tensor) -> View:
+    def rows(self, index: Tensor) -> Self:
         """Returns the cameras of some clips, in the order of ``index``."""
         return replace(self, **{name: getattr(self, name)[index] for name in ("intrinsics", "rotation", "centre")})
 
@@ -136,7 +135,7 @@ class Evidence:
     view: View | None = None
     notes: tuple[str, ...] = ()
 
-    def rows(self, index: Tensor) -> Evidence:
+    def rows(self, index: Tensor) -> Self:
         """Returns the evidence of some clips, in the order of ``index``."""
         view = self.view and self.view.rows(index)
         return replace(self, values=self.values[index], weight=self.weight[index], view=view)
@@ -159,11 +158,11 @@ class Evidence:
             return torch.zeros(len(self.weight), dtype=torch.bool, device=self.weight.device)
         return feet_seen(self.weight) < FEET_SEEN
 
-    def first_frames(self, frames: int) -> Evidence:
+    def first_frames(self, frames: int) -> Self:
         """Returns the first frames."""
         return replace(self, values=self.values[:, :frames], weight=self.weight[:, :frames])
 
-    def windows(self, starts: Tensor, length: int) -> Evidence:
+    def windows(self, starts: Tensor, length: int) -> Self:
         """Cuts every clip into W windows of ``length`` that begin at ``starts`` (W,): clips become B W rows."""
         at = starts[:, None] + torch.arange(length)
         values, weight = (x[:, at].flatten(0, 1) for x in (self.values, self.weight))

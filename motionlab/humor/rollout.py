@@ -16,9 +16,7 @@ Source: HuMoR (Rempe et al. 2021), ``roll_out`` of the official code; thesis 3.1
 differential dynamic programming (Jacobson and Mayne 1970), forward pass. Derivatives by hand.
 """
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -136,7 +134,7 @@ class DecoderLayers(NamedTuple):
     skip: Tensor
 
     @classmethod
-    def of(cls, model: Cvae) -> DecoderLayers:
+    def of(cls, model: Cvae) -> Self:
         """Takes a model's decoder apart, without its gradients."""
         linear = [layer for layer in model.decoder.net if isinstance(layer, torch.nn.Linear)]
         norms = [layer for layer in model.decoder.net if isinstance(layer, torch.nn.GroupNorm)]

@@ -4,13 +4,12 @@ Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2
 Differs: in lean mode L-BFGS moves preconditioned coordinates (last section).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -44,7 +43,7 @@ class Problem:
     starts: tuple[int, ...] = (0,)
     parametrisation: Parametrisation = unknowns.LEAN
 
-    def rows(self, index: Tensor) -> Problem:
+    def rows(self, index: Tensor) -> Self:
         """Returns the same for some recordings alone."""
         every = index[:, None] * len(self.starts) + torch.arange(len(self.starts), device=index.device)
         return replace(self, evidence=self.evidence.rows(every.flatten()))

@@ -11,11 +11,10 @@ transitions of which nothing was seen start at the prior's mean. "official" mode
 and missing masks. Stage 3 has two solvers: "rollout", the original sub-stages, and in lean mode the faster "shooting".
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -69,21 +68,21 @@ class Schedule:
     guesses: bool = False
 
     @classmethod
-    def lean(cls) -> Schedule:
+    def lean(cls) -> Self:
         """Returns what lean mode needs, with its start near the goal and preconditioning: less than half."""
         return cls(steps=(5, 10, 36), refine=(1, 3))
 
     @classmethod
-    def official(cls, *, keypoints: bool) -> Schedule:
+    def official(cls, *, keypoints: bool) -> Self:
         """Returns the official configuration for keypoints (its video demo) or for 3-D joints."""
         return cls(steps=(30, 80, 70) if keypoints else (30, 70, 70))
 
-    def without_stage_3(self) -> Schedule:
+    def without_stage_3(self) -> Self:
         """Returns the same schedule with stages 1 and 2 alone."""
         return replace(self, steps=(*self.steps[:2], 0))
 
     @classmethod
-    def quick(cls) -> Schedule:
+    def quick(cls) -> Self:
         """Returns few steps, for tests and a first try."""
         return cls(steps=(2, 3, 3), inner=8, refine=(1, 2), shooting=Plan(rounds=2, closures=8, trial_rounds=1))
 

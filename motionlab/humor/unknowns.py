@@ -7,11 +7,9 @@ Source: HuMoR (Rempe et al. 2021), section 4; windows: the official code's ``use
 the remainder spread), which keeps the earlier one's frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -57,15 +55,15 @@ class Unknowns:
         """Returns those that are there by name, in their order."""
         return {f.name: value for f in fields(self) if (value := getattr(self, f.name)) is not None}
 
-    def map(self, change: Callable[[Tensor], Tensor]) -> Unknowns:
+    def map(self, change: Callable[[Tensor], Tensor]) -> Self:
         """Computes the same with every tensor changed."""
         return Unknowns(**{name: change(value) for name, value in self.named().items()})
 
-    def rows(self, index: Tensor | slice) -> Unknowns:
+    def rows(self, index: Tensor | slice) -> Self:
         """Returns those of some recordings."""
         return self.map(lambda value: value[index])
 
-    def detached(self) -> Unknowns:
+    def detached(self) -> Self:
         """Returns the same without gradients."""
         return self.map(Tensor.detach)
 
@@ -73,7 +71,7 @@ class Unknowns:
         """Returns those of a recording by name."""
         return {name: value for name, value in self.named().items() if name in _SHARED}
 
-    def per_window(self) -> Unknowns:
+    def per_window(self) -> Self:
         """Returns the same with one row for each of the B = G W windows, as one leading axis."""
         found, windows = self.named(), self.trans.shape[1]
         own = {name: value.flatten(0, 1) for name, value in found.items() if name not in _SHARED}

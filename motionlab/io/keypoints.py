@@ -13,11 +13,10 @@ Sports2D's TRC in pixels; a file, or one per frame in a folder. What else you ha
 A point that is NaN, at (0, 0), of confidence 0 or not there was not seen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import torch
@@ -126,7 +125,7 @@ class Footage:
         name = f"{self.path.name} from frame {self.first}"
         return Observation2D(table[..., :2], table[..., 2], self.names, self.fps, name=name)
 
-    def of(self, tracks: Sequence[Person]) -> Footage:
+    def of(self, tracks: Sequence[Person]) -> Self:
         """Returns the footage with other tracks, but for frames and people of whom nothing was seen.
 
         Raises:
@@ -138,7 +137,7 @@ class Footage:
             raise self._error("nothing is left of anybody", "give the footage that the keypoints are of")
         return replace(self, tracks=tuple(sorted(kept, key=_longest)))
 
-    def within(self, size: tuple[float, float]) -> tuple[Footage, list[str]]:
+    def within(self, size: tuple[float, float]) -> tuple[Self, list[str]]:
         """Returns the footage without points that were put onto the border of its image, and what is to be said of it.
 
         Some detectors put there what they take to be outside: then many lie on the same border to the digit.

@@ -7,14 +7,13 @@ The floor drifts by tens of centimetres: good for poses relative to the centre, 
 Captury: joint positions in space (biomech.csv) and projected into each camera (projectedNN.csv).
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import torch
@@ -79,7 +78,7 @@ class Positions:
         """Number of frames T."""
         return self.positions.shape[0]
 
-    def select(self, names: list[str] | tuple[str, ...]) -> Positions:
+    def select(self, names: list[str] | tuple[str, ...]) -> Self:
         """Returns some of the points, in the order asked for; KeyError lists the names."""
         if missing := [name for name in names if name not in self.names]:
             raise KeyError(f"no point {', '.join(missing)}; points are {', '.join(self.names)}")

@@ -21,10 +21,9 @@ begins at "goes on at its velocity"; velocities are backward differences; a join
 of its rotation.
 """
 
-from __future__ import annotations
-
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -79,7 +78,7 @@ class ChainRecipe:
 
 
 @torch.no_grad()
-def begun_linear(model: Cvae, scales: Scales, past: Tensor, now: Tensor) -> None:
+def begun_linear(model: Cvae, scales: "Scales", past: Tensor, now: Tensor) -> None:
     """Sets the linear layers to and from z to the principal components of what differs from going on at the velocity,
     of transitions (N, 339), counted in ``ERROR_UNITS``: z begins as what the change is, and not as noise.
 
@@ -238,7 +237,7 @@ class Scales:
     half: bool = False
 
     @classmethod
-    def measure(cls, past: Tensor, now: Tensor) -> Scales:
+    def measure(cls, past: Tensor, now: Tensor) -> Self:
         """From transitions (N, 339), both in the frame of the past state; the change is what differs from going on at
         the velocity."""
         change = unforeseen(past, now).std(0).clamp(min=1e-4)

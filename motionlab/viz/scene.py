@@ -4,8 +4,6 @@
 Importing this module chooses, once, which window VTK draws into: quiet where there is no display.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import importlib
@@ -13,6 +11,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
+from typing import Self
 
 import numpy as np
 import pyvista as pv
@@ -104,18 +103,18 @@ class Scene(contextlib.AbstractContextManager):
         self.plotter.subplot(0, panel)
         return self.plotter
 
-    def _watch(self, panel: int, path: np.ndarray, fps: float = 1.0) -> Scene:
+    def _watch(self, panel: int, path: np.ndarray, fps: float = 1.0) -> Self:
         self._seen[panel].append((path, fps))
         self._framing = None
         return self
 
-    def _move(self, update: Callable[[float], None]) -> Scene:
+    def _move(self, update: Callable[[float], None]) -> Self:
         """Calls a function of the time now, and whenever that changes."""
         self._updates.append(update)
         update(self.seconds)
         return self
 
-    def floor(self) -> Scene:
+    def floor(self) -> Self:
         """Adds a checkerboard of 0.5 m tiles at z = 0 in all panels."""
         self._floor, self._framing = True, None
         return self
@@ -123,7 +122,7 @@ class Scene(contextlib.AbstractContextManager):
     def skeleton(
         self, motion: Motion, role: str | tuple = "ours", *, opacity: float = 1.0, panel: int = 0,
         frame: int | None = None, shadow: float = 0.42, framed: bool = True,
-    ) -> Scene:  # fmt: skip
+    ) -> Self:  # fmt: skip
         """Adds a figure with volume, its left side light and its right side dark; options as of :meth:`body`."""
         figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
 
@@ -133,7 +132,7 @@ class Scene(contextlib.AbstractContextManager):
         show = partial(mannequin.add_surface, paint=figure.colours, opacity=opacity)
         return self._surface(motion, shape, figure.faces, show, panel, frame, shadow, framed)
 
-    def exchange(self, motion: Motion, *, panel: int = 0) -> Scene:
+    def exchange(self, motion: Motion, *, panel: int = 0) -> Self:
         """Puts another motion, of as many joints and frames, into a panel's last framed figure or body that moves.
 
         Raises:
@@ -153,7 +152,7 @@ class Scene(contextlib.AbstractContextManager):
         title: str = "", limits: tuple[float, float] | None = None, cmap: str = "viridis", opacity: float = 1.0,
         panel: int = 0, frame: int | None = None, shadow: float = 0.42, framed: bool = True,
         shown: Sequence[bool] | None = None,
-    ) -> Scene:  # fmt: skip
+    ) -> Self:  # fmt: skip
         """Adds the skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``.
 
         ``frame`` holds one frame; by default it moves with the scene's time. ``shadow`` is how dark its shadow is, 0
@@ -167,7 +166,7 @@ class Scene(contextlib.AbstractContextManager):
         motion = mannequin.single(motion)
         return self._surface(motion, partial(_skin, body), faces, show, panel, frame, shadow, framed, shown)
 
-    def _surface(self, motion, shape, faces, show, panel, frame, shadow, framed, shown=None) -> Scene:
+    def _surface(self, motion, shape, faces, show, panel, frame, shadow, framed, shown=None) -> Self:
         if frame is not None and not -motion.frames <= frame < motion.frames:
             raise IndexError(f"frame {frame}: the motion has {motion.frames}")
         plotter, held = self._panel(panel), [motion]
@@ -203,14 +202,14 @@ class Scene(contextlib.AbstractContextManager):
                 self._figures[panel] = (held, len(self._seen[panel]))
         return self._watch(panel, positions if frame is None else positions[[first]], motion.fps) if framed else self
 
-    def mesh(self, vertices, faces, paint=LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0) -> Scene:
+    def mesh(self, vertices, faces, paint=LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0) -> Self:
         """Adds a mesh of vertices (V, 3), metres, and faces (F, 3) that stands still: a table."""
         points = np.array(vertices, float)
         mesh = pv.PolyData.from_regular_faces(points, np.asarray(faces))
         self._panel(panel).add_mesh(mesh, color=paint, opacity=opacity, reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, points[None]) if framed else self
 
-    def points(self, points, role: str | tuple = "observation", *, radius: float = 0.02, panel: int = 0) -> Scene:
+    def points(self, points, role: str | tuple = "observation", *, radius: float = 0.02, panel: int = 0) -> Self:
         """Adds still markers at (N, 3) metres."""
         at = np.asarray(points, float)
         ball = pv.Sphere(radius=radius, theta_resolution=24, phi_resolution=24)
@@ -218,7 +217,7 @@ class Scene(contextlib.AbstractContextManager):
         self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, at[None])
 
-    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, shown=None, panel: int = 0) -> Scene:
+    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, shown=None, panel: int = 0) -> Self:
         """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves.
 
         ``shown`` (T,) says in which frames it is there; by default in all.
@@ -238,7 +237,7 @@ class Scene(contextlib.AbstractContextManager):
 
         return self._move(update)
 
-    def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Scene:
+    def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Self:
         """Adds the path of a joint: pale as a whole, strong up to now."""
         path = mannequin.array(mannequin.single(motion).positions[:, motion.skeleton.index(joint)])
         count, look = max(len(path), 2), {"render_lines_as_tubes": True, "ambient": 0.6, "diffuse": 0.4}
@@ -258,7 +257,7 @@ class Scene(contextlib.AbstractContextManager):
         text = mannequin.add_words(self._panel(0), " ", "lower_left", max(self.size[1] / 60, 6))
         return lambda words: text.set_text("lower_left", words)
 
-    def label(self, point, text: str, *, panel: int = 0) -> Scene:
+    def label(self, point, text: str, *, panel: int = 0) -> Self:
         """Adds a word that stays upright at a point (3,) of the world."""
         look = {"text_color": INK, "font_family": "arial", "bold": False, "show_points": False, "shape": None,
                 "always_visible": True, "reset_camera": False, "font_size": max(round(self.size[1] / 22), 10),
@@ -266,7 +265,7 @@ class Scene(contextlib.AbstractContextManager):
         self._panel(panel).add_point_labels(np.asarray(point, float)[None], [text], **look)
         return self
 
-    def at(self, seconds: float) -> Scene:
+    def at(self, seconds: float) -> Self:
         """Moves everything to a time."""
         turned = self.heed()
         self.seconds, fresh = float(seconds), self._framing is None
@@ -309,7 +308,7 @@ class Scene(contextlib.AbstractContextManager):
                 return True
         return False
 
-    def turn(self, degrees: float = 0.0, *, away: float = 1.0) -> Scene:
+    def turn(self, degrees: float = 0.0, *, away: float = 1.0) -> Self:
         """Turns all eyes around the subject, to the right as seen from above, and moves them so many times as far."""
         eye = self.plotter.renderers[0].camera
         eye.Azimuth(degrees)

@@ -9,12 +9,10 @@ and may be taken at every few frames only, straight lines between.
 Source: differential dynamic programming (Jacobson and Mayne 1970); thesis 3.3.4 asks for such a formulation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -58,7 +56,7 @@ class Whitening(NamedTuple):
     rest: Tensor
     features: Tensor
 
-    def rows(self, index: Tensor) -> Whitening:
+    def rows(self, index: Tensor) -> Self:
         """Returns the coordinates of some clips, which may repeat; gains as roll-outs read them."""
         gains = self.gains.transpose(0, 1)[:, index].transpose(0, 1)
         return Whitening(*(x[index] for x in self._replace(gains=self.base)))._replace(gains=gains)
