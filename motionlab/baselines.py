@@ -1,4 +1,4 @@
-"""Fills gaps and smooths motions without a model, as baselines: interpolation, curves, filters.
+"""Fills gaps, puts noise on motions and smooths it away without a model, as baselines: curves, filters.
 
 Gaps are given by ``known``: (T,) or, of each clip, (..., T) for whole frames, (..., T, J) for single joints, True where
 the motion may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
@@ -10,8 +10,9 @@ Source: Rasmussen and Williams 2006, Eqs. 2.25 and 4.17.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -22,6 +23,7 @@ from motionlab.motion import Motion
 
 _FRAMES = 30.0  # length of the curves' Gaussian process: its covariance falls to a half in so many frames
 _NOISE = 1e-5  # of its variance: of what is known, so that every pattern can be solved for
+_LIVELY, _QUICK = 2.5, 1.0  # strength of acceleration that is motion: rad/s^(3/2) of joints, m/s^(3/2) of the root
 
 
 def _mask(known: Tensor, motion: Motion) -> Tensor:
@@ -226,3 +228,46 @@ def curve_weights(patterns: Tensor) -> Tensor:
     seen, cov = patterns.double(), _matern(patterns.shape[-1]).to(patterns.device)
     square = seen[:, :, None] * cov * seen[:, None] + torch.diag_embed(1 - seen + _NOISE)
     return cov @ (seen[:, :, None] * torch.linalg.inv(square) * seen[:, None])
+
+
+@dataclass(frozen=True)
+class Noise:
+    """turn: radians about each axis of every joint. shift: metres along each axis of the root. Standard deviations.
+
+    lasting: correlation of one frame's noise with the next one's; 0: every frame's is new.
+    """
+
+    turn: float
+    shift: float
+    lasting: float = 0.0
+
+    @classmethod
+    def of(cls, degrees: float, centimetres: float, lasting: float = 0.0) -> Self:
+        """Returns the noise of so many degrees and centimetres."""
+        return cls(degrees * torch.pi / 180, centimetres / 100, lasting)
+
+    def on(self, motion: Motion, generator: torch.Generator) -> Motion:
+        """Adds this noise to a motion; contacts are dropped."""
+        dim = motion.root.ndim - 2
+        turn = self.turn * _steady((*motion.rot.shape[:-2], 3), generator, dim=dim, lasting=self.lasting)
+        shift = self.shift * _steady(motion.root.shape, generator, dim=dim, lasting=self.lasting)
+        return replace(motion, root=motion.root + shift, rot=motion.rot @ rotation.exp(turn), contacts=None)
+
+
+def denoised(motion: Motion, noise: Noise) -> Motion:
+    """Computes a motion without most of its noise: a Kalman smoother over joints and root, each with its own."""
+
+    def by(size: float, lively: float):
+        return lambda x: kalman(x, motion.fps, max(size, 1e-6), lively)
+
+    turned = smooth(motion, by(noise.turn, _LIVELY))
+    return replace(turned, root=by(noise.shift, _QUICK)(motion.root))
+
+
+def _steady(shape: Sequence[int], generator: torch.Generator, *, dim: int, lasting: float) -> Tensor:
+    """Standard normal numbers of which those next to each other along ``dim`` have correlation ``lasting``."""
+    fresh = torch.randn(shape, generator=generator).movedim(dim, 0)
+    out = [fresh[0]]
+    for now in fresh[1:]:
+        out.append(lasting * out[-1] + (1 - lasting**2) ** 0.5 * now)
+    return torch.stack(out).movedim(0, dim)

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import ShapeError, check_shape
+from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.files import write_whole
 from motionlab.motion import Motion, resample
 from motionlab.skeleton import STANDARD, UPRIGHT
@@ -120,13 +120,15 @@ def save(path: str | Path, motion: Motion, *, as_features: bool = False) -> None
     """Writes a motion on the standard joints as a .npy of joints (T, 22, 3), or of their 263 numbers (T - 1, 263).
 
     Raises:
-        ShapeError: other joints, batch axes, or too few frames. DataError: the file cannot be written.
+        ShapeError: other joints, batch axes, or too few frames. DataError: NaN, or the file cannot be written.
     """
     if motion.skeleton.names != STANDARD.names:
         raise ShapeError(f"expected the {JOINTS} standard joints, got {len(motion.skeleton)}: retarget first")
     joints = begun(resample(motion, FPS).positions.double() @ UPRIGHT.double())
     if as_features and len(joints) < 2:
         raise ShapeError("expected two frames or more at 20 per second")
+    if not joints.isfinite().all():
+        raise DataError("numbers that are not finite", path=path, remedy="cut or fill those frames")
     stream = io.BytesIO()
     np.save(stream, (features(joints) if as_features else joints).float().numpy())
     write_whole(path, stream.getvalue())

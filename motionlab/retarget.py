@@ -82,15 +82,9 @@ class Retargeted:
 
 
 def retarget(
-    motion: Motion,
-    *,
-    proportions: str | Skeleton = "source",
-    leg: float | None = None,
-    floor: bool = True,
-    plant: bool = True,
-    names: Mapping[str, str] | None = None,
-    body: Match | None = None,
-) -> Retargeted:
+    motion: Motion, *, proportions: str | Skeleton = "source", leg: float | None = None, floor: bool = True,
+    plant: bool = True, names: Mapping[str, str] | None = None, body: Match | None = None,
+) -> Retargeted:  # fmt: skip
     """Puts a motion of any known skeleton on the standard 22 joints.
 
     R_target = R_source G^T S: G turns a source joint's frame to body axes in its rest pose (see

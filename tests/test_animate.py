@@ -12,9 +12,9 @@ from rigs_made import made
 from motionlab import __main__, baselines, io, rotation
 from motionlab.animate import filling, restore, rewriting
 from motionlab.animate.corrections import WINDOW, KeyMask, Rig, by_windows, overlapping
+from motionlab.baselines import Noise
 from motionlab.body import BodyModel
 from motionlab.contact import with_contacts
-from motionlab.diffusion.denoising import Noise
 from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
 from motionlab.io import amass, bvh, gltf

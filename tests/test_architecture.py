@@ -18,7 +18,7 @@ FLOORS = """
     data_synth diffusion.encoder diffusion.features humor.body_shape humor.state io
         metrics retarget viz
     splits
-    corpus diffusion.completer diffusion.denoising diffusion.model diffusion.windows humor.cvae
+    corpus diffusion.completer diffusion.model diffusion.windows humor.cvae
     diffusion.inpainting diffusion.poses humor.energies humor.priors
     bench humor.compiled humor.evidence humor.pretrained
     humor.rollout

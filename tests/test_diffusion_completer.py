@@ -8,13 +8,12 @@ import pytest
 import torch
 
 from motionlab import checkpoint, rotation
-from motionlab.baselines import smooth_curves
+from motionlab.baselines import Noise, denoised, smooth_curves
 from motionlab.bench import cases, judge
 from motionlab.bench.cases import PersonWindows
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import Completer, CompleterRecipe
-from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.windows import draw_units, gather, on_standard
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import local_to_world, stuck_root
@@ -284,7 +283,7 @@ def test_smoothed_windows_and_the_truth_are_shown_in_one_frame_of_reference(data
     (shown, known, trembled), truth = seen
     motion, (turn, shift) = data.drawn(TINY.batch, draws)[0], torch.rand(2, generator=draws).tolist()
     noise = Noise.of(8 * turn, 4 * shift)
-    local, frame = stuck_root(smoothed(noise.on(motion, draws), noise))
+    local, frame = stuck_root(denoised(noise.on(motion, draws), noise))
     assert trembled.tolist() == pytest.approx([noise.turn] * TINY.batch)
     assert not known.any() and torch.equal(shown.root, local.root) and torch.equal(shown.rot, local.rot)
     assert torch.equal(shown.contacts, with_contacts(shown).contacts)

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from motionlab import rotation
-from motionlab.diffusion.denoising import Noise
+from motionlab.baselines import Noise
 from motionlab.diffusion.features import Layout, Normaliser
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.windows import gather, on_standard

@@ -9,7 +9,7 @@ from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab import rotation
 from motionlab.bench import cases
-from motionlab.bench.rivals import Rivals
+from motionlab.bench.judge import Rivals
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
 from motionlab.skeleton import STANDARD

@@ -13,6 +13,7 @@ from motionlab.errors import DataError, ShapeError
 from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from tests.figures import standing
 
 
 def carousel(speed: float = 0.0, left: float = 0.0, frames: int = 121) -> torch.Tensor:
@@ -130,6 +131,10 @@ def test_what_it_is_not(tmp_path):
     for wrong in (humanml.features, humanml.begun, humanml.joints_of, humanml.motion_of):
         with pytest.raises(ShapeError):
             wrong(torch.zeros(5, 21, 3))
+    holed = standing()
+    holed.root[1, 2] = torch.nan
+    with pytest.raises(DataError, match="finite"):
+        humanml.save(tmp_path / "b.npy", holed)
 
 
 def test_features_that_are_normalised_and_joints_that_are_mirrored_are_told(tmp_path):

@@ -13,7 +13,7 @@ from loaders import refused
 from motionlab import io, rotation
 from motionlab.animate import rewriting
 from motionlab.errors import DataError
-from motionlab.io import bvh
+from motionlab.io import bvh, gltf
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from tests.figures import standing
@@ -215,6 +215,9 @@ def test_translation_in_a_joint_below_the_root_is_composed(tmp_path):
 
 def test_bones_that_change_their_length_are_refused_or_averaged(tmp_path):
     path = write(tmp_path, moved_hips("0 0 0 0 0 0", "0 93 5 0 0 0", leg_shift=9.0))
+    for load in (bvh.load, gltf.load):
+        with pytest.raises(ValueError, match="translations"):
+            load(path, translations="median")
     with pytest.raises(DataError, match=r"line 10.*Leg moves.*translations"):
         bvh.load(path)
     motion = bvh.load(path, translations="mean", unit="cm", up="y")

@@ -10,7 +10,7 @@ from torch import Tensor
 from motionlab import examples, io, rotation
 from motionlab.__main__ import main
 from motionlab.animate import looping, restore
-from motionlab.diffusion.denoising import Noise
+from motionlab.baselines import Noise
 from motionlab.errors import DataError
 from motionlab.metrics.gait import slide_where_truth_stands_mm
 from motionlab.metrics.pose import jitter

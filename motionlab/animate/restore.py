@@ -19,9 +19,9 @@ from motionlab import baselines, cleaning, rotation
 from motionlab.animate.corrections import WINDOW, KeyMask, Rig, by_windows, on_model_body
 from motionlab.animate.filling import DRAWS, Animated, curves, found_joints, inbetween, network
 from motionlab.animate.foot_locking import lock_feet
+from motionlab.baselines import Noise, denoised
 from motionlab.contact import resting_heights, with_contacts
 from motionlab.diffusion import completer
-from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.model import motion_model
 from motionlab.diffusion.poses import finished, load
 from motionlab.errors import DataError
@@ -99,7 +99,7 @@ def repaired(
     if quiet:
         return Animated(motion, (*notes, "no frame jumps: the motion stays as it is"))
     method = method or ("network" if noise.turn >= _WORTH else "curves")
-    smooth = smoothed(motion, noise) if noisy else motion
+    smooth = denoised(motion, noise) if noisy else motion
     body = Rig.of(motion, smooth, KeyMask.of(motion), lift=retarget(smooth).floor)
     made = body.joints
     if noisy and method == "network":

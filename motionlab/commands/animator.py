@@ -9,10 +9,10 @@ from pathlib import Path
 from motionlab.animate import filling, looping, restore
 from motionlab.animate.filling import Animated
 from motionlab.animate.rewriting import check_target, write_back
+from motionlab.baselines import Noise
 from motionlab.commands import batch
 from motionlab.commands.motions import check_film, cut, draw, is_watched, read_motion, say_note
 from motionlab.commands.options import WRITTEN
-from motionlab.diffusion.denoising import Noise
 from motionlab.errors import DataError
 from motionlab.files import writing
 from motionlab.motion import Motion

@@ -145,14 +145,9 @@ def _rate(at: Location, arrays: dict[str, np.ndarray], system: str, usual: float
 
 
 def load(
-    path: str | Path,
-    *,
-    pelvis_offset: Tensor | None = None,
-    person: int = 0,
-    up: Axes = None,
-    axes: Axes = None,
+    path: str | Path, *, pelvis_offset: Tensor | None = None, person: int = 0, up: Axes = None, axes: Axes = None,
     fps: Fps = None,
-) -> Motion:
+) -> Motion:  # fmt: skip
     """Reads the body of a file as a Motion on 22 joints; hands, jaw and eyes are left out, shapes are not read.
 
     root = trans + pelvis_offset. SMPL's translation is not the pelvis: pelvis = trans + J_0(betas), where J_0 is

@@ -29,14 +29,9 @@ _CHANNELS = [f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotatio
 
 
 def load(
-    path: str | Path,
-    *,
-    unit: Unit = None,
-    up: Axes = None,
-    axes: Axes = None,
-    fps: Fps = None,
+    path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None,
     translations: str = "strict",
-) -> Motion:
+) -> Motion:  # fmt: skip
     """Reads a BVH file: metres, z up, the file's own skeleton and rest pose.
 
     Position channels replace a joint's OFFSET; where they are about zero in the joints below the root, they are
@@ -55,9 +50,7 @@ def load(
         DataError: the file is not a readable BVH; names the file, the line and the remedy.
         ValueError: unit, up, axes or translations is none of the above.
     """
-    judging.check_given(unit, up, axes)
-    if translations not in ("strict", "mean"):
-        raise ValueError(f"expected translations 'strict' or 'mean', got {translations!r}")
+    judging.check_given(unit, up, axes, translations)
     with reading(path, "export the BVH again, or repair the line") as at:
         joints, values, rate = _parse(at, read_text(at), fps)
         place, rot, relative = _local(joints, values)

@@ -46,16 +46,9 @@ _Y_UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def load(
-    path: str | Path,
-    *,
-    person: int = 0,
-    animation: str | int | None = None,
-    unit: Unit = None,
-    up: Axes = None,
-    axes: Axes = None,
-    fps: Fps = None,
-    translations: str = "strict",
-) -> Motion:
+    path: str | Path, *, person: int = 0, animation: str | int | None = None, unit: Unit = None, up: Axes = None,
+    axes: Axes = None, fps: Fps = None, translations: str = "strict",
+) -> Motion:  # fmt: skip
     """Reads one person of an animation of a GLB or .gltf as a motion with the file's own skeleton.
 
     The joints are those of a skin, or of the animation where there is no skin. Their zero pose is the one in which the
@@ -71,7 +64,7 @@ def load(
     Raises:
         DataError: not such a file, or nobody with this number.
     """
-    judging.check_given(unit, up, axes)
+    judging.check_given(unit, up, axes, translations)
     with reading(path, "write it with motionlab.io.gltf.save, or export GLB with sampled animation") as at:
         content, blob = _chunks(at)
         found = _figure(at, content, blob, person, animation, fps)

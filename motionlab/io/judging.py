@@ -63,32 +63,26 @@ def unit_named(word: object) -> float | None:
     return UNITS.get(_WORDS.get(word, word))
 
 
-def check_given(unit: Unit, up: Axes, axes: Axes) -> None:
+def check_given(unit: Unit, up: Axes, axes: Axes, translations: str = "strict") -> None:
     """Checks what a caller says of a file.
 
     Raises:
-        ValueError: not a unit, or not an axis, or both ``up`` and ``axes``. ShapeError: not axes.
+        ValueError: not a unit, axis or way with translations, or both ``up`` and ``axes``. ShapeError: not axes.
     """
     if not (unit is None or unit in UNITS or (isinstance(unit, int | float) and 0 < unit < float("inf"))):
         raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
     if up not in (None, *AXES) or None not in (up, axes):
         raise ValueError(f"expected up of {', '.join(AXES)} or axes, not both; got up {up!r} and axes {axes!r}")
+    if translations not in ("strict", "mean"):
+        raise ValueError(f"expected translations 'strict' or 'mean', got {translations!r}")
     if axes is not None:
         axes_to_matrix(axes)
 
 
 def to_world(
-    at: Location,
-    figure: Figure,
-    *,
-    unit: Unit = None,
-    up: Axes = None,
-    axes: Axes = None,
-    says_unit: float | None = None,
-    says_up: str | None = None,
-    trust: float = 1.0,
-    table: dict[str, str] = AXES,
-) -> Figure:
+    at: Location, figure: Figure, *, unit: Unit = None, up: Axes = None, axes: Axes = None,
+    says_unit: float | None = None, says_up: str | None = None, trust: float = 1.0, table: dict[str, str] = AXES,
+) -> Figure:  # fmt: skip
     """Turns a motion or positions of a file's own unit and axes into metres, z up, float32; notes what was guessed.
 
     Args:

@@ -166,14 +166,9 @@ def _longest(track: Person) -> tuple[float, float]:
 
 
 def load(
-    path: str | Path,
-    *,
-    fps: float | None = None,
-    size: tuple[float, float] | None = None,
-    layout: str | None = None,
-    lowest: float | None = None,
-    film: Video | None = None,
-) -> Footage:
+    path: str | Path, *, fps: float | None = None, size: tuple[float, float] | None = None,
+    layout: str | None = None, lowest: float | None = None, film: Video | None = None,
+) -> Footage:  # fmt: skip
     """Reads what a 2-D pose detector wrote, whichever it was, and joins its people through time, in pixels.
 
     Frames are ordered by their number, or by the time that it is; one that is missing is a frame in which nobody was

@@ -11,10 +11,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from motionlab.baselines import Noise, denoised
 from motionlab.contact import with_contacts
 from motionlab.diffusion import features
 from motionlab.diffusion.completer import Completer, CompleterRecipe, motion_noise
-from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.windows import Windows, draw_units
 from motionlab.heading import stuck_root, world_to_local
 from motionlab.motion import Motion
@@ -77,7 +77,7 @@ class CompleterTraining(TrainingRun):
         """Windows that tremble, by as much as is drawn, and are smoothed; and by how much joints did (B,)."""
         turn, shift = torch.rand(2, generator=self.generator).tolist()
         noise = Noise.of(_ROUGH[0] * turn, _ROUGH[1] * shift)
-        shown = with_contacts(smoothed(noise.on(motion, self.generator), noise))
+        shown = with_contacts(denoised(noise.on(motion, self.generator), noise))
         return shown, torch.full((len(motion.root),), noise.turn)
 
     def _noise(self, known: Tensor) -> tuple[Tensor, Tensor] | tuple[()]:

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from motionlab import checkpoint, corpus, splits
+from motionlab.baselines import Noise, denoised
 from motionlab.bench import cases
 from motionlab.bench.cases import PersonWindows, by_person, person_windows
 from motionlab.bench.judge import CASES, FRAMES, judged
@@ -27,7 +28,6 @@ from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
-from motionlab.diffusion.denoising import Noise, smoothed
 from motionlab.diffusion.encoder import EncoderRecipe
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows, gather, on_standard
@@ -146,7 +146,7 @@ def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
     row, left = {}, []
     for degrees, cm in _NOISES:
         noise = Noise.of(degrees, cm)
-        rough = with_contacts(smoothed(noise.on(motion, torch.Generator().manual_seed(0)), noise))
+        rough = with_contacts(denoised(noise.on(motion, torch.Generator().manual_seed(0)), noise))
         made = model.complete(rough, nothing, tremble=noise.turn)
         mine, alone = (float(by_person(cases.error_cm(m, motion, nothing), whose).mean()) for m in (made, rough))
         title = f"noise of {degrees:g} degrees, {cm:g} cm"

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from motionlab.bench import cases, rivals
+from motionlab.baselines import Noise, denoised
+from motionlab.bench import cases, judge
 from motionlab.bench.cases import by_person
-from motionlab.bench.rivals import RIDGES
+from motionlab.bench.judge import RIDGES, noise_size
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, sampling
-from motionlab.diffusion.denoising import Noise, noise_size, smoothed
 from motionlab.diffusion.features import UNITS
 from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule
@@ -96,9 +96,9 @@ def contest(title: str, m: Models, cast: Cast, starts: Sequence[ReverseProcess])
     """Everybody on one of ``NOISES``: errors of all joints, their settings chosen on the validation people."""
     noise = Noise.of(*NOISES[title])
     noisy = [noise.on(w.motion, torch.Generator().manual_seed(k)) for k, w in enumerate((cast.val, cast.test))]
-    tuned = {n: rivals.tune(n, noisy[0], cast.val.motion) for n in rivals.FILTERS}
-    best = cases.chosen(list(tuned), lambda n: rivals.filtered(noisy[0], n, **tuned[n]), cast.val.motion)
-    rough = [rivals.filtered(x, best, **tuned[best]) for x in noisy]
+    tuned = {n: judge.tune(n, noisy[0], cast.val.motion) for n in judge.FILTERS}
+    best = cases.chosen(list(tuned), lambda n: judge.filtered(noisy[0], n, **tuned[n]), cast.val.motion)
+    rough = [judge.filtered(x, best, **tuned[best]) for x in noisy]
 
     ways: dict[str, tuple[Callable[[int, object], Motion], Sequence]] = {
         FILTER: (lambda k, _: rough[k], (f"{best} {tuned[best]}",)),
@@ -116,7 +116,7 @@ def contest(title: str, m: Models, cast: Cast, starts: Sequence[ReverseProcess])
 
 
 def _corrected(noisy: Motion, noise: Noise) -> Motion:
-    smooth = with_contacts(smoothed(noisy, noise))
+    smooth = with_contacts(denoised(noisy, noise))
     nothing = torch.zeros(*smooth.root.shape[:2], UNITS, dtype=torch.bool)
     return completer.load("completer_rough").complete(smooth, nothing, tremble=noise.turn)
 

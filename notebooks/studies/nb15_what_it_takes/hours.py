@@ -19,7 +19,7 @@ import torch
 from tqdm import tqdm
 
 from motionlab import corpus, splits
-from motionlab.bench import judge, rivals
+from motionlab.bench import judge
 from motionlab.bench.cases import PersonWindows, person_windows
 from motionlab.bench.judge import CASES, FRAMES, Fill
 from motionlab.corpus import Take
@@ -66,8 +66,8 @@ def trained(takes: Sequence[Take], seed: int, val: PersonWindows, test: PersonWi
         if (error := sum(legs(run.averaged.complete, val))) < best:
             best, step, model = error, run.step, run.averaged
     generator = torch.Generator().manual_seed(seed)
-    fitted = rivals.Rivals.fit(replace(data.draw(RIDGE_ROWS, generator), skeleton=STANDARD), generator)
-    ridges = {width: replace(fitted, ridge=width).regression for width in rivals.RIDGES}
+    fitted = judge.Rivals.fit(replace(data.draw(RIDGE_ROWS, generator), skeleton=STANDARD), generator)
+    ridges = {width: replace(fitted, ridge=width).regression for width in judge.RIDGES}
     width = min(ridges, key=lambda width: sum(legs(ridges[width], val, True)))
     found = {"step": step, "ridge's width": width}
     for part, windows in (("val", val), ("test", test)):
