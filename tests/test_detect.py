@@ -195,7 +195,7 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
     bare, damaged = "No module named 'onnxruntime'", "INVALID_PROTOBUF : Load model from yolox.onnx failed"
     for error, message in (
         (OSError("no route to host"), "could not be fetched.*no route to host"),
-        (ModuleNotFoundError(bare, name="onnxruntime"), rf"package.*{bare}.*pip install -e '\.\[detect\]'"),
+        (ModuleNotFoundError(bare, name="onnxruntime"), rf"package.*{bare}.*pip install.* '\.\[detect\]'"),
         (RuntimeError(damaged), "cannot be used.*yolox.onnx.*delete it"),
     ):
         monkeypatch.setitem(sys.modules, "rtmlib", Mock(**{"BodyWithFeet.side_effect": error}))

@@ -49,7 +49,7 @@ def test_every_command_of_the_page_runs(desk, monkeypatch, capsys):
         assert main(words) == (2 if finds_keypoints else 0), command
         said = capsys.readouterr()
         if finds_keypoints:
-            assert "pip install -e '.[detect]'" in said.err and "--keypoints" in said.err
+            assert "pip install -c constraints.txt -e '.[detect]'" in said.err and "--keypoints" in said.err
     rows = json.loads((desk / "scene" / fit.RESULT).read_text())
     assert (
         rows["footage"]["fps"] == 25 and rows["keypoints"]["size"] == list(SIZE) and not rows["moving_camera"]["moved"]
