@@ -81,11 +81,13 @@ def test_known_numbers_are_exact_unless_the_last_replacement_is_left_out(motion,
     model.denoiser.x0 = torch.zeros_like(x0)  # a denoiser that is wrong everywhere
     left = Inpainting(steps=9, replace_last=False)
     ways = {"last": Inpainting(steps=9), "not": left, "finish": Inpainting(replace_last=False, blend_frames=3)}
+    ways |= {"guided": replace(ways["last"], guidance_weight=1.0), "guided, not": replace(left, guidance_weight=1.0)}
     gaps = {
         name: (inpainting.inpaint_features(model, x0, known, generator, way) - x0)[:, known].abs().max()
         for name, way in ways.items()
     }
     assert gaps["last"] < 1e-6 and gaps["finish"] < 1e-6 and gaps["not"] > 0.1
+    assert gaps["guided"] < 1e-6 and gaps["guided, not"] > 0.1
 
 
 def test_an_unknown_number_takes_the_nearest_known_value_for_a_soft_mask():

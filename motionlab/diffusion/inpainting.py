@@ -28,8 +28,8 @@ class Inpainting:
     """How the known part enters the sampling.
 
     steps: of the respaced process. guidance_weight: of reconstruction guidance, which imputes the known part, as MDM
-    does; 0: it is replaced (Eq. 4.10), with replace_last also in the last step, as the thesis does. mask_ramp: frames
-    over which the mask's edges rise. blend_frames: over which ``offset_decay`` fades; 0: known parts stay as they are.
+    does; 0: it is replaced (Eq. 4.10). replace_last: also in the last step, as the thesis does. mask_ramp: frames over
+    which the mask's edges rise. blend_frames: over which ``offset_decay`` fades; 0: known parts stay as they are.
     """
 
     steps: int = 50
@@ -54,9 +54,13 @@ def inpaint_features(
     if how.mask_ramp:  # where the mask is soft the nearest known value stands in
         seen = _nearest_held(seen, known)
     if how.guidance_weight:
-        denoise, after = _guided(model.denoiser, schedule, seen, m, how.guidance_weight), None
+        inner, after = _guided(model.denoiser, schedule, seen, m, how.guidance_weight), None
     else:
-        denoise, after = model.denoiser, _replace(schedule, seen, m, generator, last=how.replace_last)
+        inner, after = model.denoiser, _replace(schedule, seen, m, generator, last=how.replace_last)
+
+    def denoise(x: Tensor, stamps: Tensor) -> Tensor:  # the network may have the last word (CondMDI)
+        return (inner if how.replace_last or int(stamps[0]) != int(schedule.stamps[0]) else model.denoiser)(x, stamps)
+
     x = sampling.ddpm(denoise, schedule, noise_like(x0, generator), generator, after=after)
     return offset_decay(x, seen, known, how.blend_frames) if how.blend_frames else x
 
