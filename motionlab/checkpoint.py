@@ -80,13 +80,14 @@ def read_recipe(path: Path | str) -> dict:
     """
     path = Path(path).with_suffix(".json")
     with rebuilding(path, "no recipe"):
-        return dict(json.loads(path.read_text(encoding="utf-8")))
+        if isinstance(found := json.loads(path.read_text(encoding="utf-8")), dict):
+            return found
+        raise ValueError("no object")
 
 
 def shipped(name: str) -> Path:
-    """Returns where a model lies: one at a path; of a bare name, a file here, if there is one, and else what ships."""
-    bare = Path(name).name == name and not Path(name).with_suffix(".safetensors").exists()
-    return SHIPPED / name if bare else Path(name)
+    """Returns where a model lies: one that ships, by its name, or the one at a path."""
+    return SHIPPED / name if Path(name).name == name else Path(name)
 
 
 @contextmanager
@@ -95,7 +96,8 @@ def rebuilding(path: Path | str, complaint: str) -> Iterator[None]:
     try:
         yield
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise DataError(f"{complaint} ({type(error).__name__}: {error})"[:300], path=path, remedy=REMEDY) from error
+        said = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        raise DataError(f"{complaint} ({said})"[:300], path=path, remedy=REMEDY) from error
 
 
 def frozen(build: Callable[[], Network], tensors: Mapping[str, Tensor], prefix: str = "") -> Network:
@@ -116,6 +118,8 @@ def load_foreign(path: Path | str, key: str, remedy: str) -> dict[str, Tensor]:
     """
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise DataError("there is no such file", path=path, remedy=remedy) from error
     except Exception as error:  # torch names no type for a file that is none of its own
         message = f"not a file of plain tensors ({type(error).__name__})"
         raise DataError(message, path=path, remedy=f"{remedy}; or save its state_dict alone with torch.save") from error
@@ -127,7 +131,6 @@ def load_foreign(path: Path | str, key: str, remedy: str) -> dict[str, Tensor]:
     return found
 
 
-# -------------------------------------------------------------------------------------------- what can be made again
 def keep(path: Path, tensors: Mapping[str, Tensor], about: object) -> None:
     """Writes what took long to make, with what JSON says about it: what :func:`kept` reads."""
     tensors, text = {name: x.contiguous().clone() for name, x in tensors.items()}, json.dumps(about)

@@ -105,9 +105,7 @@ def motion_of(joints: Tensor, fps: float = FPS, name: str = "") -> Motion:
         if len(below[j]) == 1:
             (k,) = below[j]
             world[:, j] = rotation.rotation_between((above @ offsets[k, :, None])[..., 0], bones[k]) @ above
-        for _ in range(
-            4 if len(below[j]) > 1 else 0
-        ):  # the rotations by the offsets, then the offsets by the rotations
+        for _ in range(4 * (len(below[j]) > 1)):  # rotations by the offsets, then the offsets by the rotations
             world[:, j] = rotation.nearest(sum(bones[k][..., None] * offsets[k] for k in below[j]))
             for k in below[j]:
                 offsets[k] = (world[:, j].mT @ bones[k][..., None])[..., 0].mean(0)

@@ -118,7 +118,6 @@ def _points(rest: Tensor, joints: dict[str, int], bones: tuple, cosine: float) -
     return all(bone @ way >= cosine * bone.norm() for way, bone in there)
 
 
-# --------------------------------------------------------------------------------------------------- from movement
 def _means(motion: Motion, joints: dict[str, int], foot: Tensor | None) -> Tensor:
     """How the joints are turned in a T (J, 3, 3), by what their bones and hinges do on the whole.
 

@@ -56,6 +56,8 @@ def test_easymocap_writes_two_files_without_a_size(tmp_path):
     for name in ("intri.yml", "extri.yml"):
         check(*load_camera(tmp_path / name, "02", size=SIZE), True)
     check(*load_camera(tmp_path / "intri.yml", None, "somewhere/video_2", size=SIZE), True)
+    (tmp_path / "intri.yml").write_text(f"{inner}W_02: {SIZE[0]}\nH_02: {SIZE[1]}\n")
+    check(*load_camera(tmp_path / "intri.yml", "02"), True)
     (tmp_path / "intri.yml").unlink()
     with pytest.raises(DataError, match="no such file"):
         load_camera(tmp_path / "extri.yml", "02", size=SIZE)

@@ -105,5 +105,5 @@ def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way
 
 
 def test_a_window_may_not_be_told_of_another_ones_mask(takes, fitted):
-    with pytest.raises(ShapeError, match="windows"):
+    with pytest.raises(ShapeError, match="known"):
         fitted.nearest(takes[1], cases.legs(5, FRAMES))

@@ -82,6 +82,15 @@ def naive(path_asf: Path, path_amc: Path, frame: int) -> dict[str, np.ndarray]:
     return ends
 
 
+def test_sections_may_stand_in_any_order(tmp_path):
+    head, bones = ASF.split(":bonedata")
+    bones, hierarchy = bones.split(":hierarchy")
+    (tmp_path / "other").mkdir()
+    plain, other = (asf.load(*write(at, text)) for at, text in (
+        (tmp_path, ASF), (tmp_path / "other", f"{head}:hierarchy{hierarchy}\n:bonedata{bones}")))  # fmt: skip
+    assert torch.equal(plain.positions, other.positions)
+
+
 def compare(paths: tuple[Path, Path], frame: int) -> int:
     motion = asf.load(*paths)
     count = 0

@@ -191,7 +191,6 @@ def _with_feet_at(motion: Motion, heel: Tensor, ball: Tensor) -> Motion:
     return replace(motion, rot=rot.unflatten(0, size))
 
 
-# ---------------------------------------------------------------------------------------------------------------- steps
 _Ends = tuple[int, int]  # the frames between which a foot goes
 
 

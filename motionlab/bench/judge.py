@@ -23,7 +23,7 @@ from torch import Tensor
 from motionlab import baselines, corpus, splits
 from motionlab.bench import cases
 from motionlab.bench.cases import PersonWindows, by_person, chosen, person_windows, restore_known
-from motionlab.diffusion.features import Layout, Normaliser, units
+from motionlab.diffusion.features import UNITS, Layout, Normaliser, units
 from motionlab.diffusion.inpainting import offset_decay
 from motionlab.errors import ShapeError
 from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
@@ -143,8 +143,8 @@ class Rivals:
     def _filled(
         self, motion: Motion, known: Tensor, find: Callable[[Tensor, Tensor], Tensor], finish: int = 0
     ) -> Motion:
-        if known.shape[:2] != motion.root.shape[:2]:
-            raise ShapeError(f"known: expected {tuple(motion.root.shape[:2])} windows, got {tuple(known.shape)}")
+        if known.shape != (*motion.root.shape[:2], UNITS):
+            raise ShapeError(f"known: expected {(*motion.root.shape[:2], UNITS)}, got {tuple(known.shape)}")
         _, frame = stuck_root(motion)
         mask = known[..., units(self.layout)].flatten(1)
         x = torch.where(mask, self.encode_in(frame, motion), 0.0)

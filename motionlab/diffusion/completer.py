@@ -279,12 +279,13 @@ def save(path: Path | str, model: Completer, about: dict) -> None:
 
 
 def load(path: Path | str) -> Completer:
-    """Reads a model that ships, as "completer", or the one at a path, frozen.
+    """Reads a model that ships, as "completer", or the one at a path, frozen. A bare name is a file here, if there is
+    one, and else what ships.
 
     Raises:
         DataError: a file is missing, damaged, or of another model.
     """
-    path = checkpoint.shipped(path)
+    path = path if Path(path).with_suffix(".safetensors").exists() else checkpoint.shipped(path)
     tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "completes no motions"):
         return checkpoint.frozen(lambda: Completer(CompleterRecipe.read(about["recipe"])), tensors)

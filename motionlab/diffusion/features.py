@@ -58,7 +58,6 @@ class Layout:
         """Numbers per frame."""
         return max(part.stop for part in self.slices.values())
 
-    # ------------------------------------------------------------------------------------------ there and back
     def encode(self, motion: Motion) -> Tensor:
         """Computes rows (..., T, size) of a motion on the 22 joints, not yet normalised.
 
@@ -139,7 +138,6 @@ def units(layout: Layout) -> Tensor:
     return torch.cat([owners[name] for name in layout.slices])
 
 
-# ------------------------------------------------------------------------------------------------- of a completer
 _MADE = Layout("world")
 _SIZES = {"root": 3, "rot": 6 * _J, "places": 3 * _J, "moves": 3 * _J, "root moves": 3, "turns": 1, "contacts": _C}
 SIZE, MADE = sum(_SIZES.values()), _MADE.size

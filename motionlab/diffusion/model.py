@@ -111,6 +111,10 @@ class DenoiserRecipe:
     weights: dict[str, float] = field(default_factory=LOSS_WEIGHTS.copy)
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        if wrong := {n: w for n, w in self.weights.items() if n not in LOSS_WEIGHTS or not w >= 0}:
+            raise ValueError(f"weights: expected {', '.join(LOSS_WEIGHTS)}, none below 0; got {wrong}")
+
     @classmethod
     def read(cls, content: dict) -> Self:
         """Reads a recipe from ``asdict``, as JSON gives it back.

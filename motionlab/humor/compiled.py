@@ -83,7 +83,6 @@ def _array(x: Tensor) -> np.ndarray:
     return x.detach().contiguous().numpy()
 
 
-# ------------------------------------------------------------------------------------------------------------- onward
 @_loops
 def _onward(first, u, gains, weights, joint, bias, scale, shift, groups, eps, skip):
     """All steps; the arrays that the way back needs."""
@@ -208,7 +207,6 @@ def _exp(v, out):
     out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z
 
 
-# --------------------------------------------------------------------------------------------------------------- back
 @_loops
 def _back(
     d_past, d_after, d_logits, d_z, past, after, turned, places, normed, spread, outs, bend,

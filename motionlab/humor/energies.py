@@ -145,7 +145,6 @@ def floor_reg(floor: Tensor, initial: Tensor, frames: int = 1) -> Tensor:
     return frames * _half_squares(floor - initial)
 
 
-# ------------------------------------------------------------------------------------------------------------- weights
 Triple = tuple[float, float, float]
 
 

@@ -145,7 +145,6 @@ def load_motion_prior(name: str = f"humor_{DEFAULT}") -> Cvae:
     return from_weights(checkpoint.load(path)[0], path, checkpoint.REMEDY)
 
 
-# --------------------------------------------------------------------------------------------------- files of others
 def _official_motion(path: Path | str) -> Cvae:
     """A checkpoint of the official code: a dict with 'model', a state dict, perhaps with 'module.' before its names."""
     remedy = "take a checkpoint of the official HuMoR release (50 tensors, 'decoder.net.0.weight' and so on)"

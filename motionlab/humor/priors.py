@@ -47,7 +47,6 @@ class Priors:
     initial: InitGmm
 
 
-# ------------------------------------------------------------------------------------------------------ over poses
 class PosePrior(nn.Module):
     """Encoder and decoder of poses. numbers: of a joint's rotation at the encoder's door, 6, or 3 of a rotation vector.
     slopes: of the three activations below zero."""
@@ -84,7 +83,6 @@ class PosePrior(nn.Module):
         return self.eval().requires_grad_(requires_grad=False)
 
 
-# ----------------------------------------------------------------------------------------------- over first states
 def first_state_features(state: Tensor) -> Tensor:
     """Computes the features (..., 138) from states (..., 339) that stand in their own heading frame."""
     check_shape(state, f"... {layout.STATE}", "state")

@@ -119,7 +119,6 @@ def _walked(
     return Rollout(_to_world(start, after), logits, u if gains is None else z, prior), past.transpose(0, 1)
 
 
-# --------------------------------------------------------------------------------------------------- the chain of steps
 class DecoderLayers(NamedTuple):
     """The decoder's layers apart. Per Linear the weights of state and of z and the bias; per norm gain and shift.
     skip (216, 339): of the linear layer past them, or (216, 0)."""

@@ -330,7 +330,6 @@ class _Track:
         )  # fmt: skip
 
 
-# --------------------------------------------------------------------------------------------------------- diagnostics
 @torch.no_grad()
 def diagnosed(rolled: Rolled, evidence: Evidence) -> FitDiagnostics:
     """Computes how well roll-outs of B rows agree with the prior and with what was seen."""

@@ -182,7 +182,6 @@ def motion_of(body: Posed, fps: float, contacts: Tensor | None = None) -> Motion
     return Motion(skeleton_of(body.betas.detach()), body.root.detach(), body.rot.detach(), fps, contacts)
 
 
-# ------------------------------------------------------------------------------------------------------------- windows
 def window_starts(frames: int, length: int, overlap: int) -> tuple[int, ...]:
     """Computes the first frames of the fewest windows of ``length`` that cover ``frames`` and share ``overlap``.
 

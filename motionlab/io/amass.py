@@ -124,7 +124,8 @@ def _axis_angles(at: Location, array: np.ndarray, key: str) -> np.ndarray:
     array = checked_array(at, array, " ".join("TJKL"[: max(array.ndim, 2)]), key, 1e4)
     if array.shape[-2:] != (3, 3) or (array.ndim == 3 and key not in ROOT):
         if array[0].size % 3 or array[0].size // 3 in _DOUBLE:
-            raise at.error(f"expected axis-angle, got {array.shape}", place=key, remedy="convert quaternions or 6-D")
+            remedy = "convert quaternions or 6-D rotations to it"
+            raise at.error(f"expected axis-angle, got {array.shape}", place=key, remedy=remedy)
         return array.reshape(len(array), -1, 3)
     matrix = torch.from_numpy(array.reshape(len(array), -1, 3, 3))
     if not (matrix.mT @ matrix - torch.eye(3)).abs().max() < 0.1 or not (torch.linalg.det(matrix) > 0).all():

@@ -118,7 +118,7 @@ def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
 def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
     """The bones by name, "root" first, the unit of length, and whether angles are degrees."""
     bones = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}
-    units, placed, said, section, bone, name = {}, {"root"}, set(), "", None, ""
+    units, placed, said, section, bone, name, hung = {}, {"root"}, set(), "", None, "", []
     for key, *words in map(str.split, text_lines(at, re.sub("#.*", "", text))):
         if key[0] == ":":
             if bone is not None:
@@ -130,7 +130,7 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
         elif section == "root":
             _tell(at, bones["root"], key, words)
         elif section == "hierarchy" and key not in ("", "begin", "end"):
-            _hang(at, bones, placed, key, words)
+            hung.append((at.place, key, words))
         elif section == "bonedata" and key:
             if bone is None and key != "begin":
                 raise at.error(f"expected begin, got {key!r}")
@@ -146,6 +146,8 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
                 name = " ".join(words)
             else:
                 _tell(at, bone, key, words)
+    for at.place, parent, below in hung:
+        _hang(at, bones, placed, parent, below)
     if missing := [key for key in ("units", "root", "bonedata", "hierarchy") if key not in said]:
         raise at.error(f"no section :{', :'.join(missing)}: truncated, or no ASF")
     if lost := [name for name in bones if name not in placed]:

@@ -212,7 +212,6 @@ def straight(pictures: Iterable[np.ndarray], camera: Camera) -> Iterator[np.ndar
         yield np.where(at[0][..., None], picture[at[1], at[2]], np.uint8(0))
 
 
-# -------------------------------------------------------------------------------------------------------------- files
 def _tables(at: Location) -> dict[str, Table]:
     """Reads the cameras of a file by name, one or more."""
     head, suffix = read_bytes(at)[:4096].removeprefix(b"\xef\xbb\xbf").lstrip(), at.path.suffix.lower()
@@ -293,7 +292,8 @@ def _opencv_xml(at: Location) -> dict[str, Table]:
     found = {}
     for node in _xml(at):
         parts = {part.tag: (part.text or "").split() for part in node}
-        found[node.tag] = parts if parts else _value((node.text or "").strip())
+        if not parts or {"rows", "cols", "data"} <= parts.keys():
+            found[node.tag] = parts or _value((node.text or "").strip())
     return _named(found)
 
 
@@ -322,13 +322,13 @@ def _value(text: str) -> object:
 
 def _easymocap(at: Location) -> dict[str, Table]:
     """intri.yml and extri.yml, which lie side by side; the second may be missing."""
-    text = ""
+    found = {}
     for word in ("intri", "extri"):
         path = at.path.with_name(re.sub("intri|extri", word, at.path.name))
         if word == "intri" or path.exists():
             with reading(path, "put intri.yml and extri.yml side by side") as one:
-                text += f"{read_text(one)}\n"
-    return _named(_yaml(text))
+                found |= _yaml(read_text(one))
+    return _named(found)
 
 
 def _colmap(at: Location) -> dict[str, Table]:
@@ -340,7 +340,8 @@ def _colmap(at: Location) -> dict[str, Table]:
             continue
         model, (width, height, *values) = words[1], (float(word) for word in words[2:])
         if model not in _COLMAP:
-            raise at.error(f"a lens by COLMAP's {model}", remedy="undistort the images (colmap image_undistorter)")
+            remedy = f"undistort the images; known are {', '.join(_COLMAP)}"
+            raise at.error(f"a lens by COLMAP's {model}", remedy=remedy)
         focal, lens = _COLMAP[model]
         if len(values) != focal + 2 + lens:
             raise at.error(f"{len(values)} parameters of {model}, expected {focal + 2 + lens}")

@@ -168,7 +168,8 @@ def from_trc(at: Location, text: str) -> Detections:
         raise at.error(f"{len(rows)} frames, by number, of {head['NumFrames']}", place="frames")
     known = np.abs(points[np.isfinite(points).all(-1) & (points[..., :2] != 0).any(-1)])
     if (known[:, 2] > 0).any() or (len(known) and np.median(known[:, :2]) < _METRES):
-        raise at.error("3-D points, or metres", place="coordinates", remedy="give the 2-D file in pixels (..._px_...)")
+        remedy = "give the file in pixels (Sports2D: ..._px_person00.trc)"
+        raise at.error("3-D points, or metres", place="coordinates", remedy=remedy)
     points[..., 2] = math.nan  # no confidences
     frames = ((number, [(here, None)]) for number, here in zip(order, points, strict=True))
     return detections.collect(at, "Sports2D", frames, tuple, names=point_names(at, [*names]), fps=fps, notes=at.notes)

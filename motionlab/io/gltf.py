@@ -84,7 +84,8 @@ def _chunks(at: Location) -> tuple[dict, bytes]:
     text, chunk = (data, b"") if data.lstrip()[:1] == b"{" else _of_glb(at, data)
     content, blob, starts = json.loads(text.decode()), b"", []
     if packed := [name for name in content.get("extensionsRequired", ()) if name.endswith("meshopt_compression")]:
-        raise at.error(f"packed, by {packed[0]}", place="extensionsRequired", remedy="unpack it (gltf-transform copy)")
+        remedy = "unpack it (gltf-transform copy), or export it again uncompressed"
+        raise at.error(f"packed, by {packed[0]}", place="extensionsRequired", remedy=remedy)
     for buffer in content.get("buffers", ()):
         starts.append(len(blob))
         part = _named(at, buffer["uri"]) if "uri" in buffer else chunk
@@ -119,7 +120,8 @@ def _named(at: Location, uri: str) -> bytes:
     folder = at.path.parent.resolve()
     path = (folder / unquote(uri)).resolve()
     if not path.is_relative_to(folder) or not path.is_file():
-        raise at.error(f"its numbers lie in another file, {uri[:40]}", place="buffers", remedy="put it beside or below")
+        remedy = "put it beside this one or below, or export one .glb"
+        raise at.error(f"its numbers lie in another file, {uri[:40]}", place="buffers", remedy=remedy)
     return read_bytes(replace(at, path=path))
 
 
@@ -351,7 +353,6 @@ def _bound(at: Location, content: dict, blob: bytes, skin: dict, joints: list[in
     return turned
 
 
-# ------------------------------------------------------------------------------------------------------------ writing
 def save(
     path: str | Path, motions: Motion | Sequence[Motion], body: BodyModel | None = None, *, names: Sequence[str] = ()
 ) -> None:
@@ -380,7 +381,7 @@ def save(
         raise ShapeError(f"expected one frame rate, got {[motion.fps for motion in people]}: use motion.resample")
     given = [motion.name or "motion" for motion in people]
     numbered = [f"{name} {k}" if given.count(name) > 1 else name for k, name in enumerate(given, start=1)]
-    names = list(names) or numbered
+    names = list(names or ()) or numbered
     if len(people) != len(names):
         raise ShapeError(f"{len(people)} people and {len(names)} names: expected one for each")
     file = _Buffer()

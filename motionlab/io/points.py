@@ -154,7 +154,7 @@ def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observati
         DataError: not such a table, a row is too short, or a cell is not a number.
     """
     with reading(path, "export the projected table again") as at:
-        head, *rows = [line.split(",") for line in read_text(at).splitlines() if line.strip()]
+        head, *rows = [line.split(",") for line in read_text(at).splitlines() if line.strip()] or [[""]]
         names = tuple(name.strip() for name in head[1::2] if name.strip())
         if not rows or not head[0].startswith("Timestamps") or not names or len({*names}) < len(names):
             raise at.error('expected "Timestamps [ms]", different names in every second column, frames', place="line 1")

@@ -187,7 +187,6 @@ class ChainTraining(TrainingRun):
         }
 
 
-# -------------------------------------------------------------------------------------------------- what it learns from
 def drawn(
     windows: Windows, count: int, generator: torch.Generator, bodies: float = _PEOPLE
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -223,7 +222,6 @@ def _grown(motion: Motion, scale: Tensor) -> Motion:
     return replace(motion, skeleton=replace(motion.skeleton, offsets=offsets), root=root)
 
 
-# ----------------------------------------------------------------------------------------------------- units and scales
 @dataclass(frozen=True, eq=False)
 class Scales:
     """Standardisation of states (339,) in their canonical frame, and the size of the raw output (216,).

@@ -166,7 +166,6 @@ def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRe
     encoder.save_encoder(out, features, about)
 
 
-# ---------------------------------------------------------------------------------------------------- motion features
 class _EncoderRun(TrainingRun):
     """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
     foot slides would drown."""
@@ -210,7 +209,6 @@ def _moments(x: Tensor) -> tuple[Tensor, Tensor]:
     return mean, torch.cat([part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in parts])
 
 
-# ----------------------------------------------------------------------------------------------------------- pose prior
 def _joints_of(rot: Tensor) -> Tensor:
     """Joints (..., 22, 3) of the standard body, pelvis in the origin, for local rotations (..., 21, 3, 3)."""
     still = torch.eye(3).to(rot).expand(*rot.shape[:-3], 1, 3, 3)
@@ -316,7 +314,6 @@ def reconstruction(model: PosePrior, rot: Tensor) -> dict[str, float]:
     }
 
 
-# -------------------------------------------------------------------------------------------- initial-state mixture
 def fit_mixture(
     features: Tensor, generator: torch.Generator, *, components: int = _COMPONENTS, ridge: float = MIXTURE_RIDGE,
 ) -> tuple[InitGmm, list[float]]:  # fmt: skip

@@ -87,7 +87,6 @@ def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
     return replace(unknown, **new)
 
 
-# -------------------------------------------------------------------------------------------------- the linearisation
 @torch.inference_mode(False)
 @torch.no_grad()
 def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Whitening:

@@ -228,7 +228,6 @@ def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
     return best, BatchFit({}, fit.energy[best], history, fit.seconds, reasons)
 
 
-# ------------------------------------------------------------------------------------------------- mixture modes
 # A search stays with the component of the mixture that it begins in: on the way to another the density is next to
 # nothing. All other terms are nearly quadratic in the change d of the first state and of what is shared, while nu = 0
 # and later latents give way. So the least of the energy with component k alone,

@@ -270,7 +270,6 @@ def _pixel_rows(points: Tensor, slopes: Tensor, turn, shift, camera, evidence: E
     return (root[..., None] * slopes).flatten(2, 3).flatten(0, 1)
 
 
-# ------------------------------------------------------------------------------------------------------- the sweep
 class Sweep(NamedTuple):
     """gains K (B, T - 1, Z, n), whiteners L^-T (B, T - 1, Z, Z) and what the first change costs, P_0 (B, n, n)."""
 
