@@ -187,7 +187,7 @@ def retarget_onto(motion: Motion, rig: Motion) -> Retargeted:
     follow, every, off = len(body.joints), len(rig.skeleton), 100 * found.residual
     notes = [f"joints of the rig that follow: {follow} of {every}" + "; the others stay as at rest" * (follow < every)]
     notes += [f"scaled by {found.scale:.3f}, as the rig's legs are"]
-    notes += [f"joints are {off:.1f} cm on average from where the file's are then, by what the bodies differ in"]
+    notes += [f"joints are {off:.1f} cm on average from where the file's are, as the bodies differ"]
     lacks = [name for name in source.joints if name not in body.joints]
     notes += [f"not carried over, as the rig has none: {', '.join(lacks)}"] if lacks else []
     skeleton, used = motion.skeleton, {*source.joints.values()}

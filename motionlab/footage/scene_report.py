@@ -92,7 +92,7 @@ def lines(record: Record) -> list[str]:
 def _doubt(row: Record) -> str:
     """Says whether a person's fit is to be doubted, and why."""
     latent_chi2, rms, bounds = row["latent_chi2"], row["pixels"]["rms"], row["bounds"]
-    prior = "no motion prior was used" if latent_chi2 is None else f"latent chi2 {latent_chi2:.2f}"
+    prior = "no motion prior was used" if latent_chi2 is None else f"surprise of the prior {latent_chi2:.2f}"
     text = f"{prior} (up to {bounds['latent_chi2']:g} is usual), missed by {rms:.0f} px rms (up to {bounds['rms']:.0f})"
     text += f", seems {row['seems_m']:.2f} m tall" if "seems_m" in row else ""
     return f"doubtful: {text}" if row["doubtful"] else f"no doubts: {text}"

@@ -49,7 +49,6 @@ class Problem:
         return replace(self, evidence=self.evidence.rows(every.flatten()))
 
 
-# ---------------------------------------------------------------------------------------------------------- the terms
 def pose_terms(problem: Problem, unknown: Unknowns, stage: int) -> Terms:
     """Computes the weighted terms (G,) of stage 1 or 2 by name. Lean mode is smooth in stage 1 already."""
     evidence = problem.evidence
@@ -124,7 +123,6 @@ def _overlap(joints: Tensor, starts: tuple[int, ...]) -> Tensor:
     return total
 
 
-# ------------------------------------------------------------------------------------------------------- the searches
 def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> tuple[Unknowns, BatchFit]:
     """Runs stage 1, a search for the root alone, or stage 2, for root, pose and shape."""
     moving = ("trans", "orient") if stage == 1 else ("trans", "orient", "latent", "betas")
@@ -201,7 +199,6 @@ def interrupted(fit) -> bool:
     return "interrupted" in fit.reasons
 
 
-# -------------------------------------------------------------------------------------------------- preconditioning
 # A sequence's Gauss-Newton matrix is nearly the same block H_d (data) for every frame, joined by the smoothness of its
 # neighbours, H_s. The cosine transform of time makes that diagonal: for frequency k of T frames
 #
