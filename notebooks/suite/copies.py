@@ -30,7 +30,7 @@ def refresh(folder: Path, notebooks: Path = NOTEBOOKS) -> list[str]:
         if not old and mine.exists() and _text(mine) not in (_text(source), _text(last)):
             kept.append(source.name)
         elif not old:
-            shutil.copyfile(source, mine), shutil.copyfile(source, last)
+            shutil.copyfile(shutil.copyfile(source, mine), last)
     return kept
 
 
