@@ -68,8 +68,10 @@ def made(pose):
     priors = replace(priors, initial=mixture)
     truth = replace(work.moving, z=noisy(sample_rollout(model, first, FRAMES - 1).z[:, None], 0.3, 3))
     seen = work.problem.evidence
+    view = replace(seen.view, intrinsics=seen.view.intrinsics * torch.tensor([1.0, 0.9, 1.0]).double()[:, None])
+    seen = replace(seen, view=view)  # of two focal lengths
     joints = Evidence(torch.zeros(CLIPS, FRAMES, 22, 3, dtype=F64), torch.ones(CLIPS, FRAMES, 22, dtype=F64), walk.fps)
-    kinds = {"joints": joints, "fixed": replace(seen, view=replace(seen.view, free=False)), "free": seen}
+    kinds = {"joints": joints, "fixed": replace(seen, view=replace(view, free=False)), "free": seen}
     found = {}
     for kind, begun in kinds.items():
         spread = {"z": 0.3, "trans": 0.02, "orient": 0.05, "camera": 0.01 * (kind == "free")}
