@@ -13,7 +13,7 @@ import torch
 
 from motionlab import __main__
 from motionlab.animate import filling, rewriting
-from motionlab.commands import doctor, motions, options
+from motionlab.commands import doctor, options
 from motionlab.commands.doctor import Check
 from motionlab.errors import DataError, MissingData
 from motionlab.io import bvh, judging, load
@@ -325,11 +325,6 @@ def test_data_needs_a_folder(monkeypatch, capsys):
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     assert __main__.main(["data"]) == 2
     assert "MOTIONLAB_DATA" in capsys.readouterr().err
-
-
-def test_table_is_aligned():
-    rows = [{"source": "cmu_amc", "minutes": 5.84}, {"source": "x", "minutes": 10.0}]
-    assert motions.text_table(rows) == "source   minutes\ncmu_amc  5.8\nx        10.0"
 
 
 def test_what_the_commands_offer_is_what_the_library_does():
