@@ -11,7 +11,7 @@ from multiprocessing import active_children, get_context
 
 import torch
 
-#: Rows of a batch that gets more than one thread: beside other work, fewer lose by it (bench_threads.py, commit 42ccf110).
+#: Rows of a batch that gets more than one thread: beside other work, fewer lose by it (commit 42ccf110 measured it).
 WIDE = 256
 
 
