@@ -125,18 +125,6 @@ def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     assert (suite / "01_runs.ipynb").read_bytes() == first
 
 
-def test_notebooks_run_side_by_side_and_the_longest_begins_first(suite, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(execute.parallel, "cores", lambda: 1)
-    record = findings.load_record(suite / "results/01.json")
-    findings.save_record(suite / "results/00.json", replace(record, provenance={"smoke seconds": "3"}))
-    findings.save_record(suite / "results/01.json", replace(record, provenance={"smoke seconds": "30"}))
-    jobs = [(path, tmp_path / path.name) for path in execute.find_notebooks()]
-    execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, ran := [])
-    assert [run.notebook for run in ran] == ["01_runs", "00_fails"]
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("[1/2] 01_runs") and lines[0].endswith("ran") and "failed at cell 2" in lines[1]
-
-
 def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatch):
     path = suite / "01_runs.ipynb"
     marks = {"size": staleness.mark(4.0)}
