@@ -8,7 +8,27 @@ from motionlab import rotation
 from motionlab.metrics import generation
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
+from studies.nb01_data import sources_compared
+from tests.draws import seeded
 from tests.figures import standing
+
+
+def noisy(seed, shift, people=30):
+    table = shift + torch.randn(10 * people, len(generation.DESCRIPTION_UNITS), generator=seeded(seed))
+    return sources_compared.Windows(table, torch.arange(people).repeat_interleave(10), ("walk",) * len(table))
+
+
+def test_a_judge_tells_apart_what_differs_and_tosses_a_coin_otherwise():
+    for other in (noisy(1, 0.0), noisy(1, 0.0, people=4)):  # the few: a quarter of its windows are of the one judged
+        assert sources_compared.judge(noisy(0, 0.0), other).mean() == pytest.approx(0.5, abs=0.08)
+    assert len(found := sources_compared.judge(noisy(0, 0.0), noisy(1, 2.0))) == 30 and found.min() > 0.9
+
+
+def test_what_differs_most_is_found_on_other_people():
+    (made := noisy(1, 0.0)).table[:, 3] -= 1.0
+    found = [sources_compared.lacking(noisy(0, 0.0), some) for some in (noisy(1, 0.0), made)]
+    chance, most = (sources_compared.largest_elsewhere(gaps).mean() for gaps in found)
+    assert chance < 0.3 and most == pytest.approx(1.0, abs=0.15)
 
 
 def test_quick_motion_is_the_share_above_four_hertz():

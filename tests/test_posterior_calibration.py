@@ -1,0 +1,65 @@
+"""Regions by person, energy scores and rank correlations of notebook 09, on people whose law is known."""
+
+import pytest
+import torch
+from scipy.stats import chi2, spearmanr
+
+from studies.nb09_posterior import calibration as cal
+from studies.nb09_posterior.hidden_people import Clip
+from tests.draws import seeded
+
+RIGHT = chi2.ppf([0.5, 0.8, 0.9], 3) ** 0.5
+
+
+def people(count, places=60, wrong=1.0, generator=None):
+    """Clips whose draws are right up to a factor on the error: each place with a spread of its own, 2 to 20 cm."""
+    generator, found = generator or seeded(), []
+    for k in range(count):
+        size = 0.02 + 0.18 * torch.rand(places, 1, generator=generator)
+        noise = [torch.randn(n, places, 3, generator=generator) for n in (1, 64)]
+        truth = wrong * size * noise[0][0]
+        clip = {"fit": torch.zeros(places, 3), "drawn": {1.0: size * noise[1], 10.0: 3 * size * noise[1]}}
+        found.append(Clip(f"person {k // 2}", truth, **clip))
+    return found
+
+
+def test_right_regions_hold_what_they_say_and_too_sure_ones_do_not():
+    for level, wide in zip(cal.LEVELS, RIGHT, strict=True):
+        assert cal.held(people(20), 1.0, 1e-4, wide).mean() == pytest.approx(level, abs=0.04)
+        assert cal.held(people(20, wrong=3.0), 1.0, 1e-4, wide).mean() < level - 0.25  # control
+
+
+def test_widened_regions_hold_on_people_who_had_no_say():
+    """Errors three times as large as the draws say: the radius grows threefold, and new people are held."""
+    for level, wide in zip(cal.LEVELS, RIGHT, strict=True):
+        found = cal.radius(people(60, wrong=3.0, generator=seeded(1)), 1.0, 1e-4, level)
+        assert found == pytest.approx(3 * wide, rel=0.12)
+        assert cal.held(people(20, wrong=3.0, generator=seeded(2)), 1.0, 1e-4, found).mean() == pytest.approx(
+            level, abs=0.06
+        )
+
+
+def test_likelihood_chooses_the_temperature_that_is_true():
+    assert cal.chosen(people(20)) == (1.0, min(cal.FLOORS))
+    assert cal.chosen(people(20, wrong=3.0))[0] == 10.0
+
+
+def test_energy_score_is_least_for_the_right_spread_and_the_error_of_one_answer():
+    truth = torch.randn(4000, 3, generator=seeded(5))
+    noise = torch.randn(32, 4000, 3, generator=seeded(6))
+    right, narrow, wide = (cal.energy_score(s * noise, truth).mean() for s in (1.0, 0.3, 3.0))
+    assert right < narrow and right < wide
+    assert torch.allclose(cal.energy_score(noise[:1], truth), 100 * (noise[0] - truth).norm(dim=-1))
+
+
+def test_rank_correlation_is_scipys():
+    x = torch.randint(0, 8, (50,), generator=seeded(7)).float()
+    y = x + 4 * torch.randn(50, generator=seeded(8))
+    assert cal.ranked(x, y).item() == pytest.approx(spearmanr(x.numpy(), y.numpy()).statistic, abs=1e-5)
+
+
+def test_spread_follows_error_where_it_should_and_not_where_it_cannot():
+    found = cal.follows(people(24), 1.0, seeded(9))
+    assert found["within a clip"][1] > 0.2
+    shuffled = [Clip(c.person, c.truth, c.fit, {1.0: c.drawn[1.0].flip(1)}) for c in people(24)]
+    assert abs(cal.follows(shuffled, 1.0, seeded(9))["within a clip"][0]) < 0.15
