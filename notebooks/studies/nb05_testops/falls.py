@@ -1,5 +1,6 @@
 """Captury's takes: somebody falls, sits down to lie, and turns; four calibrated cameras, exact projections, 50 fps."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,8 +14,8 @@ from motionlab.humor.energies import KEYPOINTS
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.io import points
 from motionlab.io.cameras import load_cameras
+from motionlab.io.judging import axes_to_matrix
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 from motionlab.skeleton import STANDARD
@@ -58,15 +59,40 @@ def moments(folder: Path | str, *, frames: int = 60, views: int = 4) -> Moments:
     seen, cameras, joints, names = [], [], [], []
     for name, (take, start) in MOMENTS.items():
         place, first = Path(folder) / take, round(start * FPS)
-        there = points.load_biomech(place / "biomech.csv", fps=50.0).select(list(COMPARED.values())).positions
+        there = joints_of(place / "biomech.csv")
         at = (first + torch.arange(frames)) * (50.0 / FPS)  # joints at 30 fps, linear between
         low = at.floor().long().clamp(max=len(there) - 2)
         share = (at - low)[:, None, None]
         for index, camera in enumerate([*load_cameras(place / "camera.calib").values()][:views]):
-            table = points.load_projected(place / f"projected{index:02}.csv", camera=camera, fps=50.0)
+            table = projected(place / f"projected{index:02}.csv", camera)
             seen.append(part(at_rate(_as_body_25(table)), slice(first, first + frames)))
             cameras.append(camera), joints.append(torch.lerp(there[low], there[low + 1], share)), names.append(name)
     return Moments(stacked(seen, camera=None), cameras, torch.stack(joints), tuple(names))
+
+
+def joints_of(path: Path) -> Tensor:
+    """Reads the joints (T, 12, 3) of ``COMPARED`` in a biomechanics table: metres, z up, in the world of the cameras
+    (there x and y change sign). The groups of line 3 count the columns off: a place takes three, angles four."""
+    rows = [line.split(";") for line in path.read_text().splitlines()]
+    starts, end = {}, 3
+    for group in filter(None, (cell.strip() for cell in rows[2])):
+        starts.setdefault(re.sub("Positions?$", "", group), end)
+        end += 4 if group.endswith("Angles") else 3
+    columns = [starts[name] + k for name in COMPARED.values() for k in range(3)]
+    table = np.array([[row[k] for k in columns] for row in rows[5 : 5 + int(rows[1][1])]], np.float32)
+    places = torch.from_numpy(table).double().unflatten(-1, (-1, 3)) / 1000
+    return (places @ axes_to_matrix("-x-yz").T).float()
+
+
+def projected(path: Path, camera: Camera) -> Observation2D:
+    """Reads the joints as projected into a camera: exact, in image widths; confidence 1 in the image, 0 outside."""
+    head, *rows = [line.split(",") for line in path.read_text().splitlines() if line.strip()]
+    names = tuple(name.strip() for name in head[1::2] if name.strip())
+    table = np.array([row[1 : 1 + 2 * len(names)] for row in rows], np.float32)
+    pixels = torch.from_numpy(table).double().unflatten(-1, (-1, 2)) * camera.width
+    inside = ((pixels >= 0) & (pixels < torch.tensor([camera.width, camera.height]))).all(-1)
+    pixels = torch.where(inside[..., None], pixels, 0.0).float()
+    return Observation2D(pixels, inside.float(), names, 50.0, camera, f"{path.parent.name} {path.stem}")
 
 
 def _as_body_25(table: Observation2D) -> Observation2D:
