@@ -1,4 +1,4 @@
-"""A folder of recordings: what is in it, which loader reads it, and what its licence allows.
+"""A folder of recordings: what is in it, and which loader reads it.
 
 The folder has one sub-folder per source, which is searched for files that a loader knows; other files are passed over.
 """
@@ -31,14 +31,7 @@ class Recording(NamedTuple):
     loader: Callable[[Path], Motion | Positions | Observation2D]
 
 
-#: The licences of the project's data set, by source; each folder's SOURCE.txt has citation and format.
-LICENCES = {
-    **dict.fromkeys(("cmu_amc", "cmu_library", "cmu_native"), "CMU terms, credit"),
-    **dict.fromkeys(("3dance_openpose", "animated_drawings", "deepmimic", "openpose_crowd", "reactidle"), "MIT"),
-    "bandai_namco": "CC BY-NC 4.0", "captury_falls": "free for research: evaluate only",
-    "isaacgym_amp_cmu": "BSD-3 + CMU terms", "pose2sim_openpose": "BSD-3",
-}  # fmt: skip
-#: Frames per second of its keypoints, which no file says; 30 is presumed.
+#: Frames per second of the project's own keypoints, which no file says; 30 is presumed.
 _RATES = {"pose2sim_openpose": 60, "3dance_openpose": 30, "openpose_crowd": 30}
 
 
@@ -58,7 +51,6 @@ class Row:
     fps: tuple[float, float]
     points: tuple[int, int]
     seen: float
-    licence: str
     unread: tuple[DataError | MissingData, ...] = ()
     guessed: tuple[str, ...] = ()
 
@@ -117,9 +109,9 @@ def inventory(
         _, frames, rates, points, *_ = zip(*read, strict=True) if read else ((0,),) * 4
         minutes = sum(t / fps for _, t, fps, *_ in read) / 60
         seen = sum(share * t for _, t, _, _, share, _ in read) / max(sum(frames), 1)
-        spans, licence = ((min(each), max(each)) for each in (rates, points)), LICENCES.get(name, "not known")
+        spans = ((min(each), max(each)) for each in (rates, points))
         guessed = guesses((path, notes) for path, *_, notes in read)
-        rows.append(Row(name, kind, len(read), minutes, *spans, seen, licence, tuple(unread), guessed))
+        rows.append(Row(name, kind, len(read), minutes, *spans, seen, tuple(unread), guessed))
     return rows
 
 
