@@ -1,8 +1,8 @@
 """Pickles, read as data and never run.
 
 A pickle is a program. Here it may make plain containers and numpy's arrays; every other class that it names becomes a
-passive record of the arguments and the state given to it, of which this module makes arrays. A name outside a short list
-(torch's tensors, what a body of SMPL holds) is refused before anything is built.
+passive record of the arguments and the state given to it, of which this module makes arrays. A name outside a short
+list (torch's tensors, what a body of SMPL holds) is refused before anything is built.
 """
 
 import codecs
