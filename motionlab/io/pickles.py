@@ -1,8 +1,8 @@
 """Pickles, read as data and never run.
 
-A pickle is a program. Here it may make plain containers and numpy's arrays; every other class that it names becomes a
-passive record of the arguments and the state given to it, of which this module makes arrays. A name outside a short
-list (torch's tensors, what a body of SMPL holds) is refused before anything is built.
+A pickle is a program. Here every class that it names becomes a passive record of the arguments and the state given to
+it, arrays are then rebuilt from those records by this module, and a name outside a short list (numpy's arrays, torch's
+tensors, plain containers, what a body of SMPL holds) is refused before anything is built.
 """
 
 import codecs
@@ -46,9 +46,9 @@ def read_pickle(at: Location, data: bytes) -> object:
 def first_object(at: Location, data: bytes) -> object:
     """Reads the first object of the pickle of an array of objects."""
     array = read_pickle(at, data)
-    if not isinstance(array, np.ndarray) or not array.dtype.hasobject or not array.size:
+    if not (isinstance(array, _Record) and array.name == "_reconstruct" and array.state and array.state[-1]):
         raise at.error("an array of objects without an object", place="pickle")
-    return array.flat[0]
+    return array.state[-1][0]
 
 
 def _refused(at: Location, asked: str) -> Exception:
@@ -84,7 +84,7 @@ def _record(name: str) -> type[_Record]:
 
 
 _MOVED = {"__builtin__": "builtins", "copy_reg": "copyreg"}  # modules of Python 2, by their names now
-#: What is built of a name: containers, bytes, numpy's arrays, and records of torch's tensors and joblib's arrays, which
+#: What is built of a name: containers, bytes, and records of numpy's arrays, torch's tensors and joblib's arrays, which
 #: lie in the file behind their records.
 _BUILT = {
     "copyreg._reconstructor": lambda cls, *_: cls(),  # protocol 0 and 1's way to make an empty object
@@ -92,12 +92,10 @@ _BUILT = {
     "builtins.bytes": lambda: b"",  # and none
     # to be filled; what a defaultdict makes of what it lacks is left out
     **dict.fromkeys(("builtins.dict", "collections.OrderedDict", "collections.defaultdict"), lambda *_: {}),
-    "numpy._core.multiarray._reconstruct": np._core.multiarray._reconstruct, "numpy.ndarray": np.ndarray,
-    "numpy._core.multiarray.scalar": np._core.multiarray.scalar, "numpy.dtype": np.dtype,
-    "numpy._core.numeric._frombuffer": np._core.numeric._frombuffer,
     **{name: _record(name) for name in (
-        "builtins.object", "builtins.set", "torch._utils._rebuild_tensor_v2", "torch.storage._load_from_bytes",
-        "joblib.numpy_pickle.NumpyArrayWrapper",
+        "builtins.object", "builtins.set", "numpy._core.multiarray._reconstruct", "numpy._core.multiarray.scalar",
+        "numpy._core.numeric._frombuffer", "numpy.ndarray", "numpy.dtype", "torch._utils._rebuild_tensor_v2",
+        "torch.storage._load_from_bytes", "joblib.numpy_pickle.NumpyArrayWrapper",
     )},
 }  # fmt: skip
 _SPARSE = re.compile(r"scipy\.sparse\.(?:_?(?:csc|csr|coo)\.)?(csc|csr|coo)_(?:matrix|array)")
@@ -121,19 +119,16 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
         raise _refused(self.at, f"{module}.{name}")
 
     def load_build(self) -> None:
-        state, made = self.stack.pop(), self.stack[-1]
-        if isinstance(made, np.ndarray | np.dtype):
-            made.__setstate__(state)
-        elif not isinstance(made, _Record):  # a function of this module would take what it is told
+        state, record = self.stack.pop(), self.stack[-1]
+        if not isinstance(record, _Record):  # a function of this module would take what it is told
             raise self.at.error("sets the state of what is no array", place="pickle")
-        elif made.name == "NumpyArrayWrapper":
+        record.state = state
+        if record.name == "NumpyArrayWrapper":
             if state.get("numpy_array_alignment_bytes"):
                 self.stream.read(self.stream.read(1)[0])
-            shape, kind = state["shape"], state["dtype"]
+            shape, kind = _shape(self.at, state["shape"]), _kind(self.at, state["dtype"])
             raw = self.stream.read(kind.itemsize * math.prod(shape))
-            self.stack[-1] = np.frombuffer(raw, kind).reshape(shape, order=state["order"])
-        else:
-            made.state = state
+            self.stack[-1] = _from_bytes(self.at, raw, state["dtype"], shape, state["order"])
 
 
 def arrays_of(at: Location, tree: object, keys: Iterable[str], place: str) -> dict[str, np.ndarray]:
@@ -153,13 +148,20 @@ def array_of(at: Location, value: object) -> np.ndarray:
     """Makes an array of what a pickle said: of numpy, torch, scipy (sparse), chumpy around one of these, or numbers."""
     if isinstance(value, list | tuple):
         return np.asarray([array_of(at, each) if isinstance(each, _Record) else each for each in value])
-    if isinstance(value, int | float | np.ndarray | np.generic):
+    if isinstance(value, int | float | np.ndarray):
         return np.asarray(value)
     if isinstance(value, torch.Tensor):
         return value.detach().cpu().numpy()
     if not isinstance(value, _Record):
         raise at.error(f"holds a {type(value).__name__}, expected an array")
     state = value.state
+    if value.name in ("_reconstruct", "ndarray"):
+        shape, dtype, fortran, raw = state[-4:]
+        return _from_bytes(at, raw, dtype, shape, "F" if fortran else "C")
+    if value.name == "_frombuffer":
+        return _from_bytes(at, *value.args)
+    if value.name == "scalar":
+        return _from_bytes(at, value.args[1], value.args[0], (), "C")
     if value.name in ("csc", "csr", "coo"):
         return _dense(at, value.name, state)
     if value.name == "chumpy" and isinstance(state, dict):
@@ -181,6 +183,22 @@ def _shape(at: Location, shape: object) -> tuple[int, ...]:
     if sizes.ndim > 1 or (sizes.size and (sizes.dtype.kind not in "iu" or sizes.min() < 0)):
         raise at.error(f"{shape!r} is not a shape")
     return tuple(int(n) for n in np.atleast_1d(sizes))
+
+
+def _kind(at: Location, dtype: object) -> np.dtype:
+    code = dtype.args[0] if isinstance(dtype, _Record) and dtype.name == "dtype" and dtype.args else None
+    if not isinstance(code, str) or not re.fullmatch(r"[biuf][1248]", code):
+        raise at.error(f"an array of {code!r}, expected plain numbers")
+    endian = dtype.state[1] if isinstance(dtype.state, tuple) and len(dtype.state) > 1 else "="
+    return np.dtype((endian if endian in ("<", ">") else "=") + code)
+
+
+def _from_bytes(at: Location, raw: object, dtype: object, shape: object, order: str) -> np.ndarray:
+    kind, shape = _kind(at, dtype), _shape(at, shape)
+    raw = raw.encode("latin1") if isinstance(raw, str) else raw
+    if not isinstance(raw, bytes | bytearray) or len(raw) != kind.itemsize * int(np.prod(shape, dtype=object)):
+        raise at.error(f"shape {shape} of {kind} does not fit its bytes")
+    return np.frombuffer(raw, kind).reshape(shape, order="F" if order == "F" else "C")
 
 
 def _dense(at: Location, form: str, state: object) -> np.ndarray:
