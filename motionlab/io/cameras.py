@@ -139,8 +139,6 @@ def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None 
 def _check_pixels(at: Location, k: np.ndarray, width: int, height: int) -> None:
     """Refuses intrinsics that cannot be meant, and says what may be."""
     (fx, skew, cx), (_, fy, cy) = k[:2].tolist()
-    if not (fx > 0 and fy > 0):
-        raise at.error("expected a positive focal length and image size")
     if not _FOCAL[0] * max(width, height) < min(fx, fy) <= max(fx, fy) < _FOCAL[1] * max(width, height):
         message = f"focal lengths of {fx:g} and {fy:g} pixels for an image of {width} x {height}"
         raise at.error(message, remedy="give them in pixels: not in mm, nor as shares of the image's size")

@@ -201,8 +201,9 @@ def collect(at: Location, detector: str, frames: Iterable[tuple[int, Iterable]],
         for k, person in enumerate(people):
             at.place = f"frame {number}, person {k}"
             seen.append(read(person))
-        if number in found.frames:
-            raise at.error("this frame is there twice", place=f"frame {number}")
+        if number is None or number in found.frames:
+            what = "this frame is there twice" if number in found.frames else f"frame {len(found.frames)} has no number"
+            raise at.error(what, place=f"frame {number}")
         counts = {len(points) for points, _ in seen if len(points)}
         if len(counts) > 1:
             raise at.error("people have different numbers of keypoints")
