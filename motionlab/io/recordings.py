@@ -31,8 +31,11 @@ class Recording(NamedTuple):
     loader: Callable[[Path], Motion | Positions | Observation2D]
 
 
-#: Frames per second of the project's own keypoints, which no file says; 30 is presumed.
-_RATES = {"pose2sim_openpose": 60, "3dance_openpose": 30, "openpose_crowd": 30}
+#: What the project's own keypoints do not say of themselves; 30 frames per second are presumed.
+_SAID = {
+    "pose2sim_openpose": {"fps": 60, "layout": "BODY_25B"},
+    **dict.fromkeys(("3dance_openpose", "openpose_crowd"), {"fps": 30}),
+}
 
 
 @dataclass(frozen=True)
@@ -165,7 +168,7 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
                 head = file.read(4096)
         if b'"people"' in head and path.parent not in views:
             views.add(path.parent)
-            yield "openpose", path.parent, partial(keypoints.load_person, fps=_RATES.get(name, video_fps))
+            yield "openpose", path.parent, partial(keypoints.load_person, **_SAID.get(name, {"fps": video_fps}))
         elif suffix in io.LOADERS and (suffix not in _TEXTS or (b'"Frames"' in head and b"{" in head[:9])):
             yield suffix[1:], path, io.LOADERS[suffix]
 
