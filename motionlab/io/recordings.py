@@ -34,7 +34,8 @@ class Recording(NamedTuple):
 #: What the project's own keypoints do not say of themselves; 30 frames per second are presumed.
 _SAID = {
     "pose2sim_openpose": {"fps": 60, "layout": "BODY_25B"},
-    **dict.fromkeys(("3dance_openpose", "openpose_crowd"), {"fps": 30}),
+    "3dance_openpose": {"fps": 30},
+    "openpose_crowd": {"fps": 30},
 }
 
 
