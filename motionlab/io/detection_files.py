@@ -261,7 +261,7 @@ def _openpose(at: Location, document: object) -> Detections:
             raise at.error('expected an object with a list "people"', place=f'frame {n}, "people"')
     people = enumerate(frame["people"] for frame in frames)
     found = detections.collect(at, "OpenPose", people, partial(_person, at), **stated(at, frames[0]))
-    if any(seen.shape[1] in (26, 133) for seen in found.frames.values()):
+    if any(len(points) in (26, 133) for people in found.frames.values() for points, _ in people):
         found.detector, found.lowest = "RTMPose as OpenPose", _MMPOSE  # Pose2Sim's
     return found
 

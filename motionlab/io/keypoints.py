@@ -24,7 +24,7 @@ import torch
 from motionlab.errors import DataError
 from motionlab.io import video
 from motionlab.io.detection_files import from_json, from_lines, from_npz, from_trc
-from motionlab.io.detections import MOST_FRAMES, NOBODY, PLAIN, Detections, from_folder, names_of
+from motionlab.io.detections import MOST_FRAMES, PLAIN, Detections, Sighting, from_folder, names_of
 from motionlab.io.reading import LARGEST, Location, frame_rate, image_size, read_json, read_text, reading
 from motionlab.io.video import Video
 from motionlab.observation import Observation2D
@@ -197,18 +197,18 @@ def load(
         found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
         found, frames = _in_order(at, found, fps, film)
         size = image_size(at, size) if size is not None else found.size or (film and film.size)
-        if not any(len(people) for people in frames):
+        if not any(frames):
             raise at.error("nobody was detected in any frame", place="")
-        everybody = np.concatenate([people for people in frames if len(people)]).astype(np.float32)
+        everybody = np.stack([points for people in frames for points, _ in people]).astype(np.float32)
         notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
         if not (everybody[..., 2] > 0).any():
             raise at.error("nobody was detected in any frame: no point is sure enough", place="")
         names = found.names if layout is None and found.names else names_of(at, everybody, layout)
         if len(names) != everybody.shape[1]:
             raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
+        ids = [[name for _, name in people] for people in frames]
         frames = np.split(everybody, np.cumsum([len(people) for people in frames])[:-1])
         first, given = min(found.frames), sorted(found.frames)
-        ids = [found.ids.get(first + n, []) for n in range(len(frames))]
         stride = np.median(np.diff(given)) if len(given) > 1 else 1
         gap = max(1, round(min(max(_GAP * found.fps, stride), len(frames))))
         tracks, more = _told_apart(frames, ids, gap=gap)
@@ -232,7 +232,7 @@ def _read_file(at: Location) -> Detections:
 
 def _in_order(
     at: Location, found: Detections, fps: float | None, film: Video | None
-) -> tuple[Detections, list[np.ndarray]]:
+) -> tuple[Detections, list[list[Sighting]]]:
     """The same by frame, with its rate, and its people in a list from the first frame to the last.
 
     Numbers that are times or those of any pictures become frames, and a note says so; a number without a frame shows
@@ -244,18 +244,18 @@ def _in_order(
     given = sorted(found.frames)
     known = None if film is None else film.numbers or film.frames
     order, told, notes = video.frames_of(given, fps=fps, film=known, loose=found.loose)
-    frames, ids = ({n: of[k] for n, k in zip(order, given, strict=True)} for of in (found.frames, found.ids))
+    frames = {n: found.frames[k] for n, k in zip(order, given, strict=True)}
     first, last = order[0], order[-1]
     if last - first >= MOST_FRAMES:
         raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
-    count, *others = [(frames[n].shape[1], n) for n in order if len(frames[n])] or [(0, 0)]
+    count, *others = [(len(frames[n][0][0]), n) for n in order if frames[n]] or [(0, 0)]
     if other := next((each for each in others if each[0] != count[0]), None):
         raise at.error(f"expected {count[0]} keypoints, got {other[0]}", place=f"frame {other[1]}")
     rate = fps or told or (film and film.fps)
     if rate is None:
         raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
-    found = replace(found, frames=frames, ids=ids, fps=rate, notes=[*found.notes, *notes])
-    return found, [frames.get(n, NOBODY.frames[0]) for n in range(first, last + 1)]
+    found = replace(found, frames=frames, fps=rate, notes=[*found.notes, *notes])
+    return found, [frames.get(n, []) for n in range(first, last + 1)]
 
 
 def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
