@@ -117,9 +117,8 @@ def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None 
     k = checked_array(at, table["intrinsics"], "3 3", where + "intrinsics")
     turn, shift = np.eye(3), np.zeros(3)
     if placed:
-        turn = checked_array(at, np.ravel(table["rotation"]), "N", where + "rotation")
-        if len(turn) not in (3, 9):
-            raise at.error(f"expected 3 or 9 numbers, got {len(turn)}", place=where + "rotation")
+        turn = np.ravel(table["rotation"])
+        turn = checked_array(at, turn, "3" if len(turn) == 3 else "9", where + "rotation")
         turn = exp(torch.from_numpy(turn)).numpy() if len(turn) == 3 else turn.reshape(3, 3)
         shift = checked_array(at, np.ravel(table["translation"]), "3", where + "translation")
     if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
@@ -359,8 +358,6 @@ def _qualisys(at: Location) -> dict[str, Table]:
         if name in found:
             raise at.error("two cameras have this serial")
         said = {f"{part.tag} {key}": value for part in node for key, value in part.attrib.items()}
-        if lacking := [key for key in _QUALISYS if key not in said]:
-            raise at.error(f"{lacking[0]} is missing")
         values = checked_array(at, [float(said[key]) for key in _QUALISYS], "N")
         left, top, right, bottom = values[:4].tolist()
         place, rotation = values[4:7] / 1000, _FLIP @ values[7:16].reshape(3, 3)
