@@ -8,7 +8,7 @@ from motionlab.io import keypoints, points
 from motionlab.io.cameras import load_cameras
 from motionlab.observation import Camera, project
 from studies.nb05_testops import falls
-from studies.nb05_testops.recordings import COMPARED
+from studies.shared import captury
 from tests.recorded import DATA, needs_data
 
 
@@ -29,9 +29,9 @@ def test_written_cameras_project_as_before(tmp_path, kind):
 @needs_data
 def test_captury_joints_fall_on_captury_projections():
     """Its own projections, of its own joints, through its own cameras: equal to the digits in the file."""
-    pairs = {"left_ankle": "LeftFoot", "right_knee": "RightLeg", "left_hip": "LeftUpLeg", "right_shoulder": "RightArm"}
+    pairs = {"LAnkle": "LeftFoot", "RKnee": "RightLeg", "LHip": "LeftUpLeg", "RShoulder": "RightArm", "Head": "Head"}
     for take in sorted((DATA / "captury_falls").glob("video*")):
-        joints = falls.joints_of(take / "biomech.csv")[:, [list(COMPARED).index(name) for name in pairs]]
+        joints = captury.joints(take / "biomech.csv", pairs)
         for index, camera in enumerate(load_cameras(take / "camera.calib").values()):
             seen = falls.projected(take / f"projected{index:02}.csv", camera)
             pixels, depth = project(camera, joints)
@@ -43,10 +43,10 @@ def test_captury_joints_fall_on_captury_projections():
 @needs_data
 def test_captury_tables_and_c3d_share_a_world():
     for take in sorted((DATA / "captury_falls").glob("video*")):
-        joints, markers = falls.joints_of(take / "biomech.csv"), points.load_c3d(take / "mocap.c3d")
-        for side in ("left", "right"):
-            middle = markers.select([f"Q_{side[0].upper()}Knee{end}" for end in ("In", "Out")]).positions.mean(1)
-            assert (middle - joints[:, list(COMPARED).index(f"{side}_knee")]).norm(dim=-1).median() < 0.015
+        knees, markers = captury.joints(take / "biomech.csv", ("LKnee", "RKnee")), points.load_c3d(take / "mocap.c3d")
+        for side, knee in zip("LR", knees.unbind(1), strict=True):
+            middle = markers.select([f"Q_{side}KneeIn", f"Q_{side}KneeOut"]).positions.mean(1)
+            assert (middle - knee).norm(dim=-1).median() < 0.015
 
 
 PAIRS = {f"{s}{part}": f"{side}_{part.lower()}" for s, side in (("L", "left"), ("R", "right"))

@@ -1,6 +1,5 @@
 """Captury's takes: somebody falls, sits down to lie, and turns; four calibrated cameras, exact projections, 50 fps."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,12 +14,12 @@ from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
 from motionlab.io.cameras import load_cameras
-from motionlab.io.judging import axes_to_matrix
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 from motionlab.skeleton import STANDARD
 from motionlab.viz.movie import strip
 from studies.nb05_testops.recordings import COMPARED, HIPS, compared
+from studies.shared import captury
 from studies.shared.clips import part, stacked
 
 #: What is shown, from which second on of which take.
@@ -59,7 +58,7 @@ def moments(folder: Path | str, *, frames: int = 60, views: int = 4) -> Moments:
     seen, cameras, joints, names = [], [], [], []
     for name, (take, start) in MOMENTS.items():
         place, first = Path(folder) / take, round(start * FPS)
-        there = joints_of(place / "biomech.csv")
+        there = captury.joints(place / "biomech.csv", COMPARED.values())
         at = (first + torch.arange(frames)) * (50.0 / FPS)  # joints at 30 fps, linear between
         low = at.floor().long().clamp(max=len(there) - 2)
         share = (at - low)[:, None, None]
@@ -70,20 +69,6 @@ def moments(folder: Path | str, *, frames: int = 60, views: int = 4) -> Moments:
     return Moments(stacked(seen, camera=None), cameras, torch.stack(joints), tuple(names))
 
 
-def joints_of(path: Path) -> Tensor:
-    """Reads the joints (T, 12, 3) of ``COMPARED`` in a biomechanics table: metres, z up, in the world of the cameras
-    (there x and y change sign). The groups of line 3 count the columns off: a place takes three, angles four."""
-    rows = [line.split(";") for line in path.read_text().splitlines()]
-    starts, end = {}, 3
-    for group in filter(None, (cell.strip() for cell in rows[2])):
-        starts.setdefault(re.sub("Positions?$", "", group), end)
-        end += 4 if group.endswith("Angles") else 3
-    columns = [starts[name] + k for name in COMPARED.values() for k in range(3)]
-    table = np.array([[row[k] for k in columns] for row in rows[5 : 5 + int(rows[1][1])]], np.float32)
-    places = torch.from_numpy(table).double().unflatten(-1, (-1, 3)) / 1000
-    return (places @ axes_to_matrix("-x-yz").T).float()
-
-
 def projected(path: Path, camera: Camera) -> Observation2D:
     """Reads the joints as projected into a camera: exact, in image widths; confidence 1 in the image, 0 outside."""
     head, *rows = [line.split(",") for line in path.read_text().splitlines() if line.strip()]
@@ -92,7 +77,7 @@ def projected(path: Path, camera: Camera) -> Observation2D:
     pixels = torch.from_numpy(table).double().unflatten(-1, (-1, 2)) * camera.width
     inside = ((pixels >= 0) & (pixels < torch.tensor([camera.width, camera.height]))).all(-1)
     pixels = torch.where(inside[..., None], pixels, 0.0).float()
-    return Observation2D(pixels, inside.float(), names, 50.0, camera, f"{path.parent.name} {path.stem}")
+    return Observation2D(pixels, inside.float(), names, captury.FPS, camera, f"{path.parent.name} {path.stem}")
 
 
 def _as_body_25(table: Observation2D) -> Observation2D:
