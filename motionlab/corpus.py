@@ -40,7 +40,7 @@ _WITHOUT = "leave it out of the folder, or assemble it without strict"
 #: Modules whose text decides what is kept.
 _READERS = (
     "cleaning", "contact", "corpus", "ik", "motion", "rest", "retarget", "rigs", "rotation", "skeleton",
-    "io/asf", "io/amass", "io/bvh", "io/clips", "io/judging", "io/reading", "io/recordings",
+    "io/asf", "io/bvh", "io/clips", "io/judging", "io/reading", "io/recordings", "io/smpl",
 )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from torch import Tensor
 from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
-from motionlab.io import amass, bvh, gltf
+from motionlab.io import bvh, gltf, smpl
 from motionlab.io.reading import Location, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
 from motionlab.rest import reframed
@@ -186,9 +186,9 @@ def _npz(at: Location, loaded: Motion, made: Motion) -> bytes:
 
 def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], str]:
     """Where the axis-angle of each joint lies, as key and first column, and the key of the translation; else none."""
-    whole, root, parts, moving = amass.keys_of(arrays)
-    split = [(root, 0), *((parts, 3 * j) for j in range(amass.BODY - 1))]
-    places = [(whole, 3 * j) for j in range(amass.BODY)] if whole else split
+    whole, root, parts, moving = smpl.keys_of(arrays)
+    split = [(root, 0), *((parts, 3 * j) for j in range(smpl.BODY - 1))]
+    places = [(whole, 3 * j) for j in range(smpl.BODY)] if whole else split
     used = {key for key, _ in places} | {moving}
     several = moving and arrays[moving].ndim == 3 and arrays[moving].shape[1] > 1
     if "" in used or several or "smpl_scaling" in arrays or any(arrays[key].shape[-2:] == (3, 3) for key in used):
@@ -286,7 +286,7 @@ def _of_whom(at: Location, content: dict, loaded: Motion) -> tuple[int, int | No
     raise at.error("read at other times than those of its keys", place="times")
 
 
-WRITERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save, ".npy": humanml.save}
+WRITERS = {".bvh": bvh.save, ".npz": smpl.save_motion, ".glb": gltf.save, ".npy": humanml.save}
 REWRITERS = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
 _ANEW = {  # what is said of a file that is written anew
     ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
@@ -351,7 +351,7 @@ def _rewritable(source: str | Path, loaded: Motion, made: Motion) -> bool:
     if suffix != ".npz":
         return suffix in REWRITERS
     with reading(source) as at:
-        places, _ = _smpl_keys(read_npz(at, amass._KEYS))
+        places, _ = _smpl_keys(read_npz(at, smpl._KEYS))
         return bool(places) and made.fps == loaded.fps and made.frames >= loaded.frames
 
 

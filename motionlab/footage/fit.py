@@ -27,7 +27,7 @@ from motionlab.footage.clip import Clip, read_clip
 from motionlab.footage.scene_fit import SMALL, STATURE, SceneFit, SceneFitConfig, fit_people, seen_size
 from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25
-from motionlab.io import amass, bvh, gltf, video
+from motionlab.io import bvh, gltf, smpl, video
 from motionlab.motion import Motion, resample
 from motionlab.observation import Camera, Observation2D, project
 from motionlab.optimise import begins
@@ -191,7 +191,7 @@ def _write(
     for stem, motion, row in zip(_stems(ids), fitted.motions, record["people"], strict=True):
         bvh.save(folder / f"{stem}.bvh", motion)
         standard = retarget(replace(motion, contacts=None), proportions="standard", leg=_LEG)
-        amass.save(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
+        smpl.save_motion(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
         row["files"] = {"bvh": f"{stem}.bvh", "amass": f"{stem}.npz"}
         betas = "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand"
         says = (f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet stand on "

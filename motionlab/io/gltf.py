@@ -107,8 +107,6 @@ def _of_glb(at: Location, data: bytes) -> tuple[bytes, bytes]:
         size, kind = struct.unpack_from("<I4s", data, start)
         found.setdefault(kind, data[start + 8 : start + 8 + size])
         start += 8 + size
-    if start > len(data) or JSON_CHUNK not in found:
-        raise at.error(f"its chunks {[*found]} end at byte {start} of {len(data)}", place="header")
     return found[JSON_CHUNK], found.get(BIN_CHUNK, b"")
 
 
@@ -223,13 +221,11 @@ def _animation(at: Location, content: dict, wanted: str | int | None) -> dict:
     if not every and content.get("skins") and wanted is None:
         at.notes.append("holds no animation: read as the one pose in which its nodes rest")
         return {"samplers": [], "channels": []}
-    if not every:
-        raise at.error("holds no animation", place="animations")
     names = [str(one.get("name", k)) for k, one in enumerate(every)]
     word = "0" if wanted is None else str(wanted)
     number = names.index(word) if word in names else int(word) if word.isdecimal() else -1
     if not 0 <= number < len(every):
-        raise at.error(f"no animation {word!r}: {', '.join(names)}", place="animations")
+        raise at.error(f"no animation {word!r}: it holds {', '.join(names) or 'none'}", place="animations")
     if len(every) > 1 and wanted is None:
         others = f"animation {names[0]!r}, the first of {len(every)}: {', '.join(names)}"
         at.notes.append(f"{others}; choose with animation=, or --animation")
