@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
-from motionlab.humor.shooting.coordinates import linearised, unwhiten
+from motionlab.humor.coordinates import linearised, unwhiten
 from motionlab.humor.testops import Fitted
 from motionlab.humor.unknowns import motion_of
 from motionlab.motion import Motion, runs

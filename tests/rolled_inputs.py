@@ -9,9 +9,8 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.heading import Frame
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae, reorder
-from motionlab.humor.priors import InitGmm
-from motionlab.humor.shooting.gauss_newton import XI
+from motionlab.humor.gauss_newton import XI
+from motionlab.humor.priors import Cvae, InitGmm, reorder
 from motionlab.humor.state import ADDED
 
 F64 = torch.float64
@@ -30,7 +29,7 @@ def network(width: int = 128, *, skip: bool = False) -> Cvae:
             net[-1].bias.zero_()
         if skip:
             made.skip.weight *= 0.1
-    return reorder(made).frozen()  # drawn as official weights
+    return reorder(made).eval().requires_grad_(False)  # drawn as official weights
 
 
 def golden_mixture() -> InitGmm:

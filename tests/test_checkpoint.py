@@ -14,7 +14,7 @@ from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.poses import PoseRecipe
 from motionlab.errors import DataError
 from motionlab.humor import pretrained
-from motionlab.humor.cvae import Cvae, official_weights
+from motionlab.humor.priors import Cvae, official_weights
 from motionlab.training.chain_training import ChainRecipe
 
 RECIPE = {"what": "a test", "seed": 3}
@@ -24,7 +24,7 @@ RECIPE = {"what": "a test", "seed": 3}
 def kept(tmp_path):
     """A small model, saved."""
     torch.manual_seed(0)
-    model = Cvae(64).frozen()
+    model = Cvae(64).eval().requires_grad_(False)
     checkpoint.save(tmp_path / "small", official_weights(model), RECIPE)
     return model, tmp_path / "small"
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from motionlab.diffusion.windows import gather
 from motionlab.errors import DataError
-from motionlab.humor.cvae import Cvae, from_weights, official_weights
+from motionlab.humor.priors import Cvae, from_weights, official_weights
 from motionlab.humor.state import (
     OFFICIAL_DELTA_ORDER,
     OFFICIAL_ORDER,
@@ -257,7 +257,7 @@ def test_a_model_that_says_nothing_goes_on_at_its_velocity(data, transitions):
 
 def test_weights_in_the_official_order_come_back(tmp_path, transitions):
     past = transitions[0].float()
-    model, z = model_with_skip().frozen(), torch.randn(len(past), 48, generator=seeded())
+    model, z = model_with_skip().eval().requires_grad_(False), torch.randn(len(past), 48, generator=seeded())
     weights = official_weights(model)
     again = from_weights(weights, tmp_path / "x", "none")
     assert torch.equal(again.decode(past, z), model.decode(past, z)) and again.causal

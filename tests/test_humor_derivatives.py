@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 from torch.func import jacrev
 
 from motionlab import rotation
-from motionlab.humor import state
-from motionlab.humor.shooting import gauss_newton
-from motionlab.humor.shooting.gauss_newton import CHANGE, LATENTS, XI
+from motionlab.humor import gauss_newton, state
+from motionlab.humor.gauss_newton import CHANGE, LATENTS, XI
 from motionlab.humor.state import ADDED
 from tests.rolled_inputs import F64, advanced, between, first_states, network, own, turned
 

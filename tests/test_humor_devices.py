@@ -5,10 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import compiled, testops
+from motionlab.humor import compiled, coordinates, testops
+from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import InitGmm, Priors
-from motionlab.humor.shooting import coordinates
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule
 from tests.elsewhere import ELSEWHERE, Elsewhere, elsewhere, moved
 from tests.fit_inputs import joints, keypoints

@@ -6,11 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import priors, unknowns
+from motionlab.humor import feedback_solver, priors, unknowns
+from motionlab.humor.coordinates import linearised, mixed_features, unwhiten
+from motionlab.humor.feedback_solver import Plan, solve
 from motionlab.humor.priors import InitGmm
-from motionlab.humor.shooting import feedback_solver
-from motionlab.humor.shooting.coordinates import linearised, mixed_features, unwhiten
-from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.optimise import BatchFit
 from tests.draws import seeded
 from tests.rolled_inputs import F64

@@ -14,9 +14,8 @@ from walked import CAMERA, aside, few_steps, short_windows, table, write_camera,
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
 from motionlab.footage import fit, scene_fit, scene_report
-from motionlab.humor import body_shape, pretrained, testops
+from motionlab.humor import body_shape, feedback_solver, pretrained, testops
 from motionlab.humor.energies import RGB, RGB_LIGHT
-from motionlab.humor.shooting import feedback_solver
 from motionlab.io import amass, bvh, gltf, video
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D, at_rate, project

@@ -7,12 +7,11 @@ import torch
 from torch.func import grad, jacrev
 
 from motionlab.heading import Frame
-from motionlab.humor import energies, state
+from motionlab.humor import energies, gauss_newton, state
 from motionlab.humor.body_shape import landmarks, offsets
 from motionlab.humor.energies import BONE_PARENTS, CONTACT_JOINTS, JOINTS, RGB
 from motionlab.humor.evidence import LEVEL, Evidence, View
-from motionlab.humor.shooting import gauss_newton
-from motionlab.humor.shooting.gauss_newton import CHANGE, XI
+from motionlab.humor.gauss_newton import CHANGE, XI
 from motionlab.skeleton import STANDARD, fk
 from tests.draws import draw
 from tests.rolled_inputs import F64, first_states, own, placed, still, turned

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from motionlab import rotation
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.priors import Cvae
 from motionlab.humor.state import SHAPES
 from motionlab.motion import velocity
 from studies.nb04_prior import controls, parity

@@ -6,11 +6,12 @@ import pytest
 import torch
 
 from data_synth.corpus import Recipe, perform_sequence
-from motionlab.humor import pretrained, quality, state
-from motionlab.humor.cvae import Cvae
+from motionlab.humor import pretrained, state
+from motionlab.humor.priors import Cvae
 from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.state import DELTA_SLICES, SLICES, heading, localise
 from motionlab.skeleton import STANDARD
+from motionlab.training import quality
 
 UNSEEN = Recipe(seconds=22.0, seed=77)  # another seed than the corpus
 PERFORMANCES = (1, UNSEEN.sequences - 1)  # the last by the person kept from training
@@ -31,7 +32,7 @@ def still():
         for net in (model.encoder, model.prior_net, model.decoder):
             net.net[-1].weight.zero_()
             net.net[-1].bias.zero_()
-    return model.frozen()
+    return model.eval().requires_grad_(False)
 
 
 def touching(model, joints=None):

@@ -10,15 +10,14 @@ import torch
 from data_synth import clips
 from motionlab import optimise
 from motionlab.errors import NotConverged, ShapeError
-from motionlab.humor import energies, priors, stages, state, unknowns
+from motionlab.humor import coordinates, energies, feedback_solver, priors, stages, state, unknowns
+from motionlab.humor import coordinates as loop_module
+from motionlab.humor.coordinates import Whitening, linearised, unwhiten
 from motionlab.humor.energies import JOINTS, RGB
 from motionlab.humor.evidence import Evidence
+from motionlab.humor.feedback_solver import Plan, minimise_from, solve
 from motionlab.humor.priors import FIRST_STATE_SIZE, InitGmm, Priors, first_state_features
 from motionlab.humor.rollout import sample_rollout
-from motionlab.humor.shooting import coordinates, feedback_solver
-from motionlab.humor.shooting import coordinates as loop_module
-from motionlab.humor.shooting.coordinates import Whitening, linearised, unwhiten
-from motionlab.humor.shooting.feedback_solver import Plan, minimise_from, solve
 from motionlab.humor.stages import Problem, motion_terms
 from motionlab.humor.unknowns import Unknowns
 from studies.shared.workload import random_priors, workload

@@ -9,7 +9,7 @@ from rolled_inputs import network
 from data_synth import clips
 from motionlab.humor import stages, testops, unknowns
 from motionlab.humor.evidence import Observation3D
-from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.humor.feedback_solver import Plan
 from studies.shared.workload import random_priors, workload
 from tests.draws import seeded
 

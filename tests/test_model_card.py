@@ -10,7 +10,7 @@ from motionlab import checkpoint, corpus
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError
 from motionlab.humor import pretrained
-from motionlab.humor.cvae import Cvae, official_weights
+from motionlab.humor.priors import Cvae, official_weights
 from motionlab.training import model_card
 
 
@@ -19,7 +19,7 @@ def shipped(tmp_path, monkeypatch):
     """A folder of weights with one small causal prior in it."""
     monkeypatch.setattr(checkpoint, "SHIPPED", tmp_path)
     torch.manual_seed(0)
-    model = Cvae(64, skip=True).frozen()
+    model = Cvae(64, skip=True).eval().requires_grad_(False)
     recipe = {"made by": "a test", "people": 2, "minutes of motion, before mirroring": {"recordings": 90.0}}
     checkpoint.save(tmp_path / "humor_tiny", official_weights(model), recipe)
     yield tmp_path

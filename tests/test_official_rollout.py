@@ -8,7 +8,7 @@ import torch
 
 from motionlab import rotation
 from motionlab.humor.body_shape import landmarks, offsets
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.priors import Cvae
 from motionlab.skeleton import STANDARD, fk
 from studies.official import body as official_body
 from studies.official import rollout as official_rollout
@@ -22,7 +22,7 @@ def model(width: int = 64, dtype: torch.dtype = F64) -> Cvae:
     made = Cvae(width).to(dtype)
     with torch.no_grad():
         made.decoder.net[-1].weight *= 0.3
-    return made.frozen()
+    return made.eval().requires_grad_(False)
 
 
 def test_clips_do_not_see_each_other(generator):

@@ -23,8 +23,8 @@ from motionlab.baselines import interpolate
 from motionlab.files import writing
 from motionlab.humor import body_shape, testops
 from motionlab.humor.energies import UNUSED_BODY_25
+from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import Priors
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.unknowns import window_starts
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D

@@ -21,8 +21,17 @@ from torch import Tensor
 from motionlab import checkpoint
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import priors, state
-from motionlab.humor.cvae import Cvae, filled, finite, from_weights
-from motionlab.humor.priors import BODY_JOINTS, FIRST_STATE_SIZE, InitGmm, PosePrior, Priors
+from motionlab.humor.priors import (
+    BODY_JOINTS,
+    FIRST_STATE_SIZE,
+    Cvae,
+    InitGmm,
+    PosePrior,
+    Priors,
+    filled,
+    finite,
+    from_weights,
+)
 from motionlab.io.reading import checked_array, read_npz, reading
 
 #: The priors that ship: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of real motion.

@@ -9,7 +9,7 @@ the chain and are computed for all steps at once. ``state.apply`` is the plain f
 A steered roll-out takes u instead of z, z_t = u_t + K_t X_t, where X_t (345) is the state in its own heading frame and
 that frame's place in the world, the first rows of a homogeneous matrix: cos, -sin, x | sin, cos, y. A plain roll-out
 forgets nothing: what one z does stays done in all frames to come, and a search over z is stiff. With the gains K_t of
-``shooting.coordinates`` every later z makes up for what an earlier one changed. Any z is reached by some u, so that
+``coordinates`` every later z makes up for what an earlier one changed. Any z is reached by some u, so that
 minima stay what they are, and what comes out is an exact roll-out.
 
 Source: HuMoR (Rempe et al. 2021), ``roll_out`` of the official code; thesis 3.1.1, 3.3.1 (K-step parallel decode);
@@ -27,7 +27,7 @@ from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.heading import Frame
 from motionlab.humor import compiled, state
-from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.priors import Cvae, Gaussian
 from motionlab.humor.state import ADDED, CHANGES, STATE, VECTORS, globalise, heading, localise
 from motionlab.parallel import threads_for
 

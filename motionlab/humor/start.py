@@ -26,9 +26,8 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.baselines import interpolate
 from motionlab.humor import state, unknowns
-from motionlab.humor.cvae import Cvae
 from motionlab.humor.evidence import Evidence
-from motionlab.humor.priors import Priors
+from motionlab.humor.priors import Cvae, Priors
 from motionlab.humor.rollout import infer
 from motionlab.humor.unknowns import Unknowns, from_matrix
 from motionlab.motion import FPS, Motion

@@ -5,7 +5,7 @@
 Metres, seconds, radians; world z up, floor at z = 0. ``joints`` are the network's own idea of where the joints are,
 kept beside the pose that implies them. Rotations stand transposed, row by row. So the first 141 numbers are what a
 transition adds to, the last 198 are the 22 matrices that it turns, and the first 150 are the 50 vectors that a new
-heading turns. Official weights are put into this order where they are read (``cvae.from_weights``).
+heading turns. Official weights are put into this order where they are read (``priors.from_weights``).
 
 Source: HuMoR (Rempe et al. 2021), section 3; thesis 3.1.1.
 Differs: the official order is trans, trans_vel, root_orient, root_orient_vel, pose_body, joints, joints_vel, matrices

@@ -25,8 +25,8 @@ from motionlab.humor import start as starts
 from motionlab.humor.body_shape import landmarks
 from motionlab.humor.energies import JOINTS, RGB, RGB_LIGHT, Weights
 from motionlab.humor.evidence import Evidence, Observation3D, evidence
+from motionlab.humor.feedback_solver import Plan, solve
 from motionlab.humor.priors import Priors
-from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import Parametrisation, Rolled, Unknowns, stitch_windows, window_starts
 from motionlab.motion import FPS, Motion

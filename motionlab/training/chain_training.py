@@ -33,7 +33,7 @@ from motionlab import rotation
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.humor import body_shape, state
-from motionlab.humor.cvae import Cvae, Gaussian, kl
+from motionlab.humor.priors import Cvae, Gaussian, kl
 from motionlab.humor.state import DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, globalise, heading, localise, unpack
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, fk
@@ -124,7 +124,7 @@ class ChainTraining(TrainingRun):
         super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model, optimiser)
 
     def _ready(self, model: Cvae) -> Cvae:
-        return self.scales.folded(model).frozen()
+        return self.scales.folded(model).eval().requires_grad_(False)
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe, share = self.recipe, self.step / self.recipe.steps

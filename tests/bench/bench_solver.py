@@ -12,11 +12,10 @@ import torch
 from torch import Tensor
 
 from data_synth import clips, scenes
-from motionlab.humor import compiled, state
+from motionlab.humor import compiled, coordinates, state
 from motionlab.humor.pretrained import load_priors
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import rollout
-from motionlab.humor.shooting import coordinates
 from motionlab.humor.stages import rolled_terms
 from motionlab.optimise import minimise_batch
 from studies.shared.profiling import interleaved

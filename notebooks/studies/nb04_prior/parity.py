@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from motionlab.humor import pretrained, rollout, state
-from motionlab.humor.cvae import Cvae, Gaussian, from_weights, kl, official_weights
+from motionlab.humor.priors import Cvae, Gaussian, from_weights, kl, official_weights
 from motionlab.humor.state import OFFICIAL_SLICES
 from motionlab.motion import velocity
 from studies.official import rollout as official_rollout
@@ -107,7 +107,7 @@ def seeded(alternative: bool = False) -> Cvae:
         else:
             value = 1 + 0.1 * raw if name.endswith("weight") else raw * 0.05 * (0.2 if last < 1 else 1.0)
         tensors[name] = torch.as_tensor(value.astype(np.float32))
-    return from_weights(tensors, Path("golden weights"), "").double().frozen()
+    return from_weights(tensors, Path("golden weights"), "").double().eval().requires_grad_(False)
 
 
 def difference(found: Tensor, golden: Tensor) -> float:

@@ -21,8 +21,8 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.humor import stages, state
-from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.evidence import Evidence
+from motionlab.humor.priors import Cvae, Gaussian
 from motionlab.humor.rollout import Rollout, rollout
 from motionlab.humor.stages import Problem, Terms
 from motionlab.humor.state import SHAPES

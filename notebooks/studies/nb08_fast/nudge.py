@@ -5,9 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab.humor import unknowns
+from motionlab.humor import coordinates, unknowns
 from motionlab.humor.rollout import steered_rollout
-from motionlab.humor.shooting import coordinates
 from motionlab.humor.unknowns import Unknowns
 from motionlab.motion import Motion
 from studies.nb08_fast.trials import CM, Task

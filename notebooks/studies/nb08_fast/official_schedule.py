@@ -17,10 +17,9 @@ from torch import Tensor
 
 from data_synth import scenes
 from motionlab import files
-from motionlab.humor import pretrained, stages, unknowns
+from motionlab.humor import feedback_solver, pretrained, stages, unknowns
 from motionlab.humor import start as starts
 from motionlab.humor.energies import JOINTS, KEYPOINTS, RGB_LIGHT
-from motionlab.humor.shooting import feedback_solver
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import Unknowns
 from studies.nb08_fast import trials

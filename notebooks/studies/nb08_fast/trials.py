@@ -12,12 +12,11 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from motionlab.humor import stages, testops, unknowns
+from motionlab.humor import coordinates, feedback_solver, stages, testops, unknowns
 from motionlab.humor import start as starts
 from motionlab.humor.energies import Weights
 from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors
-from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import FIRST, Unknowns

@@ -16,9 +16,9 @@ from motionlab import posterior
 from motionlab.humor import state, unknowns
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.evidence import evidence
+from motionlab.humor.feedback_solver import Plan, solve
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import sample_rollout
-from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Fitted
 from motionlab.humor.unknowns import Unknowns

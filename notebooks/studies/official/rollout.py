@@ -4,7 +4,7 @@ The same numbers as ``rollout.rollout`` up to the epsilons, and the reference fo
 dict of small tensors per step; every part turned on its own, into the frame of the next step and back into that of the
 first state; rotations by Rodrigues' formula with the angle |v + 1e-8|; the heading by acos of a guarded cosine; the
 prior evaluated inside the loop, also when z is given. Whether the networks' weights get gradients, as they do in the
-official fits, is the caller's choice: ``model.frozen()`` or not.
+official fits, is the caller's choice: ``model.eval().requires_grad_(False)`` or not.
 
 Differs: a model's ``skip``, where it has one, is added to what the decoder says.
 
@@ -17,7 +17,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from motionlab.humor.cvae import Cvae, Gaussian, Mlp
+from motionlab.humor.priors import Cvae, Gaussian, Mlp
 from motionlab.humor.rollout import Rollout
 from motionlab.humor.state import SHAPES, STATE, TURNED, unpack, unpack_delta
 from studies.official.rotation import alignment, axis_angle_to_matrix

@@ -23,9 +23,8 @@ from torch import Tensor
 from motionlab.heading import heading_frame
 from motionlab.humor import rollout, stages, state
 from motionlab.humor.body_shape import landmarks
-from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.evidence import Evidence
-from motionlab.humor.priors import Priors
+from motionlab.humor.priors import Cvae, Gaussian, Priors
 from motionlab.humor.stages import Problem
 from motionlab.humor.unknowns import Parametrisation, Posed, Rolled, Unknowns, skeleton_of, to_matrix
 from motionlab.skeleton import fk

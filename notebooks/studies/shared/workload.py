@@ -17,10 +17,9 @@ from torch import Tensor
 
 from motionlab.humor import stages, state, unknowns
 from motionlab.humor.body_shape import from_skeleton, landmarks
-from motionlab.humor.cvae import Cvae, reorder
 from motionlab.humor.energies import RGB, UNUSED_BODY_25
 from motionlab.humor.evidence import LEVEL, Evidence, View
-from motionlab.humor.priors import FIRST_STATE_SIZE, InitGmm, PosePrior, Priors
+from motionlab.humor.priors import FIRST_STATE_SIZE, Cvae, InitGmm, PosePrior, Priors, reorder
 from motionlab.humor.rollout import infer
 from motionlab.humor.unknowns import Unknowns
 from motionlab.motion import Motion
@@ -42,7 +41,9 @@ def random_priors(generator: torch.Generator, width: int = 1024) -> Priors:
                 weight.copy_((weight.ndim == 1) * 0.02 + 0.02 * torch.randn(weight.shape, generator=generator))
     reorder(models[0])  # they are drawn as official weights
     means, unit = torch.randn(12, FIRST_STATE_SIZE, generator=generator), torch.eye(FIRST_STATE_SIZE).repeat(12, 1, 1)
-    return Priors(*(model.frozen() for model in models), InitGmm(torch.full((12,), 1 / 12), means, unit))
+    return Priors(
+        *(model.eval().requires_grad_(False) for model in models), InitGmm(torch.full((12,), 1 / 12), means, unit)
+    )
 
 
 class Part(NamedTuple):

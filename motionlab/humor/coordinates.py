@@ -20,12 +20,11 @@ from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.heading import Frame
-from motionlab.humor import energies, priors, state, unknowns
+from motionlab.humor import energies, gauss_newton, priors, state, unknowns
 from motionlab.humor.body_shape import BETAS
-from motionlab.humor.cvae import Gaussian
+from motionlab.humor.gauss_newton import CHANGE, GAMMA, LATENTS, XI, factorised, riccati_sweep
+from motionlab.humor.priors import Gaussian
 from motionlab.humor.rollout import steered_rollout
-from motionlab.humor.shooting import gauss_newton
-from motionlab.humor.shooting.gauss_newton import CHANGE, GAMMA, LATENTS, XI, factorised, riccati_sweep
 from motionlab.humor.stages import Problem
 from motionlab.humor.state import ADDED
 from motionlab.humor.unknowns import Rolled, Unknowns

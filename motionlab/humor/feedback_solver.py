@@ -23,8 +23,8 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import NotConverged, ShapeError
-from motionlab.humor.shooting.coordinates import Whitening, linearised, mixed_features, unwhiten
-from motionlab.humor.shooting.gauss_newton import factorised
+from motionlab.humor.coordinates import Whitening, linearised, mixed_features, unwhiten
+from motionlab.humor.gauss_newton import factorised
 from motionlab.humor.stages import Problem, interrupted, rolled_terms
 from motionlab.humor.unknowns import Unknowns
 from motionlab.optimise import BatchFit, minimise_batch

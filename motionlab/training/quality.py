@@ -8,7 +8,7 @@ import math
 import torch
 from torch import Tensor
 
-from motionlab.humor.cvae import Cvae, kl
+from motionlab.humor.priors import Cvae, kl
 from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.humor.state import apply, bone_lengths, globalise, heading, localise, transition_pairs, unpack
 from motionlab.metrics.gait import contact_scores
