@@ -15,7 +15,7 @@ from tests.draws import seeded
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, of_both, total
 
-ALONE = Plan(rounds=8, closures=20, tolerance=1e-5, mode_jumps=0)
+ALONE = Plan(rounds=8, closures=20, tolerance=1e-5, mode_jumps=0, trial_rounds=0)
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +232,7 @@ def test_a_plan_says_when_jumps_begin_how_sure_the_matrix_is_and_what_gain_is_no
         return linearised(problem, unknown, ridge=ridge, stride=stride)
 
     monkeypatch.setattr(feedback_solver, "_starts", starts)
-    plan = replace(ALONE, rounds=4, closures=5, mode_jumps=1, trial_rounds=2, two_starts=False, tolerance=0.0)
+    plan = replace(ALONE, rounds=4, closures=5, mode_jumps=1, trial_rounds=2, tolerance=0.0)
     plan = replace(plan, damping=(0.1, 0.02), ridge=0.01)
     _, fits = solve(problem, unknown, plan, linearise=linearise)
     assert asked == [0, 0, 1, 1] and ridges == [0.1, 0.02, 0.01, 0.01] and len(fits) == 4
@@ -262,8 +262,8 @@ def test_of_a_batch_one_clip_may_leap_on(case, settled, monkeypatch):
 
     monkeypatch.setattr(feedback_solver, "_starts", forced)
     monkeypatch.setattr(feedback_solver, "minimise_from", noted)
-    plan = replace(ALONE, rounds=2, mode_jumps=1, halving_after=4, tolerance=0.0, trial_rounds=0)
-    solve(problem, mixed, replace(plan, two_starts=False), second_start=mixed)
+    plan = replace(ALONE, rounds=2, mode_jumps=1, halving_after=4, tolerance=0.0)
+    solve(problem, mixed, plan, second_start=mixed)
     assert rows == [[0, 1, 0, 1], [0, 1], [0, 1, 0], [0, 1]]
 
 

@@ -27,7 +27,7 @@ from tests.rolled_inputs import F64, network
 
 FRAMES, CLIPS = 5, 2
 KINDS = ("joints", "fixed", "free")
-STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1, trial_stride=1)
+STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1, trial_rounds=0, trial_stride=1)
 
 
 @pytest.fixture(scope="module")
@@ -319,14 +319,6 @@ def test_a_search_ends_where_steps_gain_too_little(cases):
     assert mixed.reasons == ["closures", "no decrease"]
     torch.testing.assert_close(mixed.energy[0], alone[0].energy[0])
     torch.testing.assert_close(mixed.energy[1], alone[1].energy[1])
-
-
-def test_a_second_start_of_other_recordings_is_refused(cases):
-    problem, unknown = cases["joints"]
-    with pytest.raises(ShapeError, match="second start z"):
-        solve(problem, unknown, STEADY, second_start=replace(unknown, z=unknown.z[:1]))
-    with pytest.raises(ShapeError, match="second start betas"):
-        solve(problem, unknown, STEADY, second_start=replace(unknown, betas=None))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -65,9 +65,7 @@ def test_stage_three_lowers_its_energy(kit, walk, monkeypatch):
     real = optimise.minimise_batch
 
     def without_latents(energy, variables, **how):
-        if "z" in variables:
-            variables["z"].requires_grad_(False)
-        return real(energy, variables, **how)
+        return real(energy, {name: x for name, x in variables.items() if name != "z"}, **how)
 
     monkeypatch.setattr(stages, "minimise_batch", without_latents)
     frozen = testops.fit(joints(walk), kit, schedule=schedule)
@@ -88,12 +86,12 @@ def test_a_search_ends_by_its_own_energy(control, monkeypatch):
         return {"valley": at.orient * ((1 - x).square() + 100 * (y - x.square()).square())}
 
     valley = torch.tensor([[-1.2, 1.0]] * 2)
-    unknown = {"trans": valley, "orient": torch.tensor([1.0, 1e6]), "latent": torch.zeros(2, 0)}
+    unknown = unknowns.Unknowns(trans=valley, orient=torch.tensor([1.0, 1e6]), latent=torch.zeros(2, 0))
     budget = {"steps": 5, "inner": 20, "tolerance": Schedule().tolerance}
     anything = SimpleNamespace(rows=lambda index: None)
-    both, _ = stages._search(terms, anything, unknown, ("trans",), **budget)
-    few = {n: v[:1] for n, v in unknown.items()}
-    alone, _ = stages._search(terms, anything, few, ("trans",), **budget)
+    every = slice(None), slice(1)
+    both, alone = (stages._search(terms, anything, *stages._as_they_are(unknown.rows(k), ("trans",)), **budget)[0]
+                   for k in every)  # fmt: skip
     assert torch.equal(both.trans[:1], alone.trans) != control
 
 
@@ -194,8 +192,8 @@ def test_rounded_coordinates_need_fewer_steps(kit, walk):
     p = problem(kit, joints(walk))
     budget = {"steps": 2, "inner": 20}
     unknown = testops.start_stage_1(p)
-    moving = ("trans", "orient", "latent", "betas")
-    _, plain = stages._search(partial(stages.pose_terms, stage=2), p, unknown.named(), moving, **budget)
+    moving = stages._as_they_are(unknown, ("trans", "orient", "latent", "betas"))
+    _, plain = stages._search(partial(stages.pose_terms, stage=2), p, *moving, **budget)
     _, quick = stages.stage_1_and_2(p, unknown, 2, **budget)
     assert (quick.energy < plain.energy).all()
 
@@ -260,8 +258,8 @@ def official_and_faithful(kit, seen, weights):
     for stage, at in ((1, unknown), (2, unknown), (3, rolled)):
         at = at.map(lambda x: (x + 0.01 * torch.randn(x.shape, generator=noise)).double())
         found = []
-        for form in (unknowns.LEAN, savings.OFFICIAL):
-            here, point = replace(in_float64(p), parametrisation=form), at.map(lambda x: x.clone().requires_grad_())
+        for form in ({}, savings.OFFICIAL):
+            here, point = replace(in_float64(p), **form), at.map(lambda x: x.clone().requires_grad_())
             terms = stages.motion_terms(here, point) if stage == 3 else stages.pose_terms(here, point, stage)
             leaves = point.named()
             slopes = torch.autograd.grad(sum(terms.values()).sum(), list(leaves.values()), allow_unused=True)

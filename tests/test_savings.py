@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from data_synth import clips
-from motionlab.humor import compiled, stages, unknowns
+from motionlab.humor import compiled, stages
 from studies.shared import profiling, savings
 from studies.shared.savings import FAITHFUL, LEAN
 from studies.shared.workload import Part, random_priors, workload
@@ -31,10 +31,10 @@ def nodes(work, found):
 
 def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(work, monkeypatch):
     monkeypatch.setattr(compiled, "FEW", 0)  # in tensors
-    for on, form in ((LEAN, unknowns.LEAN), (FAITHFUL, savings.OFFICIAL)):
+    for on, form in ((LEAN, {}), (FAITHFUL, savings.OFFICIAL)):
         unknown = work.unknowns(WHOLE, on)
         with savings.weights_of(work.problem.priors, on):
-            theirs = stages.motion_terms(replace(work.problem, parametrisation=form), unknown)
+            theirs = stages.motion_terms(replace(work.problem, **form), unknown)
         ours = savings.terms(work.problem, unknown, on)
         assert apart(ours, theirs) < 1e-6
         assert abs(nodes(work, ours) - nodes(work, theirs)) <= 0.01 * nodes(work, theirs)

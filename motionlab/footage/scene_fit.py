@@ -104,7 +104,7 @@ class SceneFitConfig:
 
 
 #: The work of a fit, as near as ``Schedule.lean`` in less than half of its time (CHANGELOG); a first look.
-_PLAN = Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, two_starts=False, damping=(0.1, 0.01))
+_PLAN = Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, damping=(0.1, 0.01))
 FULL_WORK = replace(testops.Schedule.lean(), tolerance=3e-4, guesses=True, shooting=_PLAN)
 _QUICK_PLAN = Plan(2, 12, trial_rounds=0, mode_jumps=0, stride=8, damping=(0.1, 0.01))
 QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), guesses=True, shooting=_QUICK_PLAN)

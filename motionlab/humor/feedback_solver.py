@@ -43,9 +43,9 @@ class Plan:
     are differentiated. mode_jumps: components of the first state's mixture whose modes a clip tries in a round
     (``mixture_modes``), if they promise more. halving_after: where a clip jumps, closures after which only the lowest
     search of each clip goes on; where that is the one that stayed, the clip jumps no more. 0: all go on, in every
-    round. trial_rounds: that a second start goes along, before the first jumps; with 0 it is not used. trial_stride:
-    the least stride of these. two_starts: False: no second start; the trial rounds remain. ridge: added to the matrix
-    of z; damping: instead of it in the first rounds, where the matrix is too sure of itself.
+    round. trial_rounds: before the first jumps, in which a second start goes along; with 0 it is not used.
+    trial_stride: the least stride of these. ridge: added to the matrix of z; damping: instead of it in the first
+    rounds, where the matrix is too sure of itself.
     """
 
     rounds: int = 25
@@ -59,7 +59,6 @@ class Plan:
     damping: tuple[float, ...] = ()
     min_gain: float = 0.0
     halving_after: int = 0
-    two_starts: bool = True
 
     def __post_init__(self) -> None:
         may_be_0 = self.mode_jumps, self.trial_rounds
@@ -82,17 +81,16 @@ def solve(
     Returns:
         the unknowns of lowest energy, and the reports of all rounds, of all clips; of one that is done: "no decrease".
     Raises:
-        ShapeError: recordings in several windows, or of one frame; a second start of other recordings.
+        ShapeError: recordings in several windows, or of one frame.
         NotConverged: no clip has a finite energy and gradient at the start.
     """
     if unknown.z.shape[1] != 1:
         raise ShapeError(f"z: expected one window per recording, got {unknown.z.shape[1]}")
     plan, clips = plan or Plan(), len(unknown.z)
     unknown = unknown.map(lambda x: x.detach().clone())
-    trial = 0 if second_start is None and plan.two_starts else plan.trial_rounds
-    if second_start is not None:
-        both = _with_second_start(unknown, second_start)
-        unknown = both if trial and plan.two_starts else unknown
+    if second_start is not None and plan.trial_rounds:
+        other = second_start.named()
+        unknown = Unknowns(**{name: torch.cat((x, other[name].detach())) for name, x in unknown.named().items()})
     mark, fits = time.perf_counter(), []
     energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
     live = every = torch.arange(len(energy), device=energy.device)
@@ -101,11 +99,12 @@ def solve(
         live = live[torch.stack(other).any(0) | (live < clips)]
     jumping = torch.ones_like(energy, dtype=torch.bool)
     for count in range(plan.rounds):
-        if count == trial:
+        if count == plan.trial_rounds:
             live = live[torch.isin(live, _lowest_rows(energy, clips))]
         if not len(live):
             break
-        now = plan if count >= trial else replace(plan, mode_jumps=0, stride=max(plan.stride, plan.trial_stride))
+        trial = count < plan.trial_rounds
+        now = replace(plan, mode_jumps=0, stride=max(plan.stride, plan.trial_stride)) if trial else plan
         now = replace(now, ridge=(*plan.damping, plan.ridge)[min(count, len(plan.damping))])
         here, name = unknown.rows(live), progress and f"{progress}, round {count + 1} of at most {plan.rounds}"
         try:
@@ -132,20 +131,10 @@ def solve(
         fits.append(_of_clips(whole, every % clips)[1])
         done = plan.tolerance * energy[live].abs()
         gained = gain > (done.clamp(min=plan.min_gain * (unknown.z.shape[2] + 1)) if plan.min_gain else done)
-        mark, live = time.perf_counter(), live[gained] if count >= trial else live
+        mark, live = time.perf_counter(), live if trial else live[gained]
         if interrupted(fit):
             break
     return unknown.rows(_lowest_rows(energy, clips)), fits
-
-
-def _with_second_start(unknown: Unknowns, second_start: Unknowns) -> Unknowns:
-    """Two starts of G clips as 2 G rows."""
-    ours, theirs = unknown.named(), second_start.named()
-    for name, x in ours.items():
-        got = tuple(theirs[name].shape) if name in theirs else None
-        if got != tuple(x.shape):
-            raise ShapeError(f"second start {name}: expected shape {tuple(x.shape)}, got {got}")
-    return Unknowns(**{name: torch.cat((x, theirs[name].detach())) for name, x in ours.items()})
 
 
 def _lowest_rows(energy: Tensor, clips: int) -> Tensor:
@@ -208,7 +197,6 @@ def minimise_from(
         return found
 
     start = {"nu": torch.zeros_like(here.z[:, 0]) if nu is None else nu, "first": first}
-    start = {name: x.clone().requires_grad_() for name, x in start.items()}
     how = {"inner": closures, "max_closures": closures, "tolerance_change": enough}
     fit = minimise_batch(energy, start, steps=1, unit=True, progress=progress, **how)
     with torch.no_grad():

@@ -19,14 +19,14 @@ from motionlab.humor import energies, state, unknowns
 from motionlab.humor.energies import SIGMA, Weights
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Priors, first_state_features
-from motionlab.humor.unknowns import FIRST, Parametrisation, Posed, Rolled, Unknowns
+from motionlab.humor.unknowns import FIRST, Posed, Rolled, Unknowns
 from motionlab.optimise import BatchFit, minimise_batch
 
 _OVERLAP = 2.0  # of the weight of joint_consistency: the official 200 beside 100
 
 Terms = dict[str, Tensor]
 #: From the numbers that a search moves, by name, and the recordings that they are of, to the unknowns.
-Back = Callable[[Mapping[str, Tensor], Tensor], Unknowns]
+Back = Callable[[Mapping[str, Tensor], Tensor | slice], Unknowns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,7 @@ class Problem:
     """What does not change while a fit looks for its unknowns.
 
     evidence: of B = G W rows. starts (W,): first frame of each window in its recording. mode: "lean" or "official".
+    pose, roll: how unknowns become bodies in stages 1 and 2, and in stage 3.
     """
 
     evidence: Evidence
@@ -41,7 +42,8 @@ class Problem:
     weights: Weights
     mode: str = "lean"
     starts: tuple[int, ...] = (0,)
-    parametrisation: Parametrisation = unknowns.LEAN
+    pose: Callable[[Unknowns, Priors, Evidence], Posed] = unknowns.pose
+    roll: Callable[[Unknowns, Priors, Evidence], Rolled] = unknowns.roll
 
     def rows(self, index: Tensor) -> Self:
         """Returns the same for some recordings alone."""
@@ -52,7 +54,7 @@ class Problem:
 def pose_terms(problem: Problem, unknown: Unknowns, stage: int) -> Terms:
     """Computes the weighted terms (G,) of stage 1 or 2 by name. Lean mode is smooth in stage 1 already."""
     evidence = problem.evidence
-    body = problem.parametrisation.pose(unknown, problem.priors, evidence)
+    body = problem.pose(unknown, problem.priors, evidence)
     terms = _data(body, evidence) | {
         "joints3d_smooth": energies.joints3d_smooth(body.joints),
         "pose_prior": energies.pose_prior(unknown.latent.flatten(0, 1)),
@@ -67,7 +69,7 @@ def motion_terms(problem: Problem, unknown: Unknowns, *, grown: bool = True, con
     grown: the first state's weight times frames / 15, as from the second sub-stage on. contacts: with those terms.
     """
     evidence = problem.evidence.first_frames(unknown.z.shape[2] + 1)
-    rolled = problem.parametrisation.roll(unknown, problem.priors, evidence)
+    rolled = problem.roll(unknown, problem.priors, evidence)
     return rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts)
 
 
@@ -126,13 +128,13 @@ def _overlap(joints: Tensor, starts: tuple[int, ...]) -> Tensor:
 def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> tuple[Unknowns, BatchFit]:
     """Runs stage 1, a search for the root alone, or stage 2, for root, pose and shape."""
     moving = ("trans", "orient") if stage == 1 else ("trans", "orient", "latent", "betas")
-    terms = partial(pose_terms, stage=stage)
     if problem.mode != "lean":
-        return _search(terms, problem, unknown.named(), moving, **budget)
-    weights = problem.weights.of(stage, listed=True)
-    unknown = replace(unknown, orient=unknowns.reorthogonalised(unknown.orient))
-    new, back = _preconditioned(unknown, moving, problem.priors, problem.evidence, weights)
-    return _search(terms, problem, new, tuple(new), back, **budget)
+        start = _as_they_are(unknown, moving)
+    else:
+        weights = problem.weights.of(stage, listed=True)
+        unknown = replace(unknown, orient=unknowns.reorthogonalised(unknown.orient))
+        start = _preconditioned(unknown, moving, problem.priors, problem.evidence, weights)
+    return _search(partial(pose_terms, stage=stage), problem, *start, **budget)
 
 
 def stage_3(
@@ -150,12 +152,8 @@ def stage_3(
     def part(unknown: Unknowns, moving: tuple[str, ...], steps: int, **how) -> Unknowns:
         if steps <= 0 or (fits and interrupted(fits[-1])):
             return unknown
-        terms = partial(motion_terms, **how)
-        if factors is None:
-            found, fit = _search(terms, problem, unknown.named(), moving, steps=steps, **budget)
-        else:
-            new, back = preconditioned_motion(unknown, moving, factors)
-            found, fit = _search(terms, problem, new, tuple(new), back, steps=steps, **budget)
+        start = _as_they_are(unknown, moving) if factors is None else preconditioned_motion(unknown, moving, factors)
+        found, fit = _search(partial(motion_terms, **how), problem, *start, steps=steps, **budget)
         fits.append(fit)
         return found
 
@@ -169,20 +167,18 @@ def stage_3(
 
 
 def _search(
-    terms: Callable[[Problem, Unknowns], Terms], problem: Problem, start: Mapping[str, Tensor], moving: tuple[str, ...],
-    back: Back = lambda new, rows: Unknowns(**new), *, steps: int, inner: int, tolerance: float = 0.0,
-    progress: bool | str = False, watch: Callable[[Terms], None] | None = None,
+    terms: Callable[[Problem, Unknowns], Terms], problem: Problem, start: Mapping[str, Tensor], back: Back, *,
+    steps: int, inner: int, tolerance: float = 0.0, progress: bool | str = False,
+    watch: Callable[[Terms], None] | None = None,
 ) -> tuple[Unknowns, BatchFit]:  # fmt: skip
     """All unknowns where the sum of some terms is lowest, and the optimiser's report; each recording for itself.
 
-    start: tensors (G, ...) by name, of which ``moving`` move. back: from such tensors to the unknowns that the terms
-    are functions of. tolerance: share of its own first energy that a recording must gain in an iteration. watch: called
-    with the terms of every evaluation.
+    start: tensors (G, ...) by name, which move. back: from such tensors to the unknowns that the terms are functions
+    of. tolerance: share of its own first energy that a recording must gain in an iteration. watch: called with the
+    terms of every evaluation.
     """
-    point = {n: x.detach().clone().requires_grad_(n in moving and x.numel() > 0) for n, x in start.items()}
-    every = torch.arange(len(next(iter(point.values()))))
     with torch.no_grad():
-        first = sum(terms(problem, back(point, every)).values()).abs().nan_to_num(0.0, 0.0, 0.0)
+        first = sum(terms(problem, back(start, slice(None))).values()).abs().nan_to_num(0.0, 0.0, 0.0)
 
     def energy(at: Mapping[str, Tensor], rows: Tensor) -> Tensor:
         found = terms(problem.rows(rows), back(at, rows))
@@ -190,8 +186,8 @@ def _search(
             watch({n: x.detach() for n, x in found.items()})
         return sum(found.values())
 
-    fit = minimise_batch(energy, point, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress)
-    return back({**{n: x.detach() for n, x in point.items()}, **fit.variables}, every).detached(), fit
+    fit = minimise_batch(energy, start, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress)
+    return back(fit.variables, slice(None)).detached(), fit
 
 
 def interrupted(fit) -> bool:
@@ -214,6 +210,12 @@ _REACH = {
     "betas": 0.02,
 }  # fmt: skip
 _REACH_CAMERA = (400.0, 400.0, 25.0)  # tilt, roll, rise
+
+
+def _as_they_are(unknown: Unknowns, moving: tuple[str, ...]) -> tuple[dict[str, Tensor], Back]:
+    """The unknowns that move, and the way from them to all: the official search."""
+    moved = {n: x.detach() for n, x in unknown.named().items() if n in moving and x.numel()}
+    return moved, lambda new, rows: replace(unknown.rows(rows), **new)
 
 
 def preconditioned_motion(

@@ -28,7 +28,7 @@ from motionlab.humor.evidence import Evidence, Observation3D, evidence
 from motionlab.humor.feedback_solver import Plan, solve
 from motionlab.humor.priors import Priors
 from motionlab.humor.stages import Problem
-from motionlab.humor.unknowns import Parametrisation, Rolled, Unknowns, stitch_windows, window_starts
+from motionlab.humor.unknowns import Rolled, Unknowns, stitch_windows, window_starts
 from motionlab.motion import FPS, Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.optimise import begins
@@ -156,10 +156,9 @@ def _stopped(results: dict[int, list[object]]) -> bool:
 
 def fit(
     observation: Observation2D | Observation3D, priors: Priors, *, weights: Weights | None = None,
-    schedule: Schedule | None = None, mode: str = "lean", parametrisation: Parametrisation = unknowns.LEAN,
-    solver: str = "rollout", cameras: Sequence[Camera] | None = None, floor: str | None = None,
-    size: tuple[int, int] | None = None, progress: bool | str = False,
-    watch: Callable[[int, dict[str, Tensor]], None] | None = None,
+    schedule: Schedule | None = None, mode: str = "lean", solver: str = "rollout",
+    cameras: Sequence[Camera] | None = None, floor: str | None = None, size: tuple[int, int] | None = None,
+    progress: bool | str = False, watch: Callable[[int, dict[str, Tensor]], None] | None = None,
 ) -> Fitted:  # fmt: skip
     """Fits every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
     the cameras have to be, too.
@@ -196,7 +195,7 @@ def fit(
         raise DataError(what, remedy="resample the observation first")
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
     weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)
-    problem = Problem(seen, priors, weights, mode, parametrisation=parametrisation)
+    problem = Problem(seen, priors, weights, mode)
     with threads_for(len(seen.values)):
         unknown = start_stage_1(problem)
         track = _Track(schedule, progress, watch)
@@ -267,10 +266,10 @@ class _Track:
         rest = (problem.priors, cuts, length, problem.mode, pull)
         if whole:
             start, second_start = starts.start_stage_3(*begun, *rest, starts.DAMPING_SHOOTING)[0], None
-            if plan.two_starts and plan.trial_rounds:
+            if not s.guesses and plan.trial_rounds:
                 second_start = starts.start_stage_3(*begun, *rest)[0]
             elif s.guesses and seen.hides_feet.any():
-                plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, _WEIGHED))
+                plan = replace(plan, trial_rounds=max(plan.trial_rounds, _WEIGHED))
                 sits = self._seated(problem, unknown, rest).named()
                 who = {name: seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)) for name, x in sits.items()}
                 second_start = Unknowns(**{n: torch.where(who[n], x, getattr(start, n)) for n, x in sits.items()})

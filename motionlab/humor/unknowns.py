@@ -99,13 +99,6 @@ class Rolled(NamedTuple):
     body: Posed
 
 
-class Parametrisation(NamedTuple):
-    """How unknowns become bodies: in stages 1 and 2, and in stage 3. ``LEAN`` unless said otherwise."""
-
-    pose: Callable[[Unknowns, Priors, Evidence], Posed]
-    roll: Callable[[Unknowns, Priors, Evidence], Rolled]
-
-
 def to_matrix(turn: Tensor) -> Tensor:
     """Computes rotations (..., 3, 3) from 6 numbers, or from rotation vectors where there are 3."""
     return rotation.sixd_to_matrix(turn) if turn.shape[-1] == 6 else rotation.exp(turn)
@@ -167,9 +160,6 @@ def rolled_from(first: Tensor, rolled: Rollout, unknown: Unknowns, evidence: Evi
     parts = state.unpack(states)
     rot = torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3)
     return Rolled(states, rolled, _posed(parts["trans"], rot, unknown.per_window(), evidence))
-
-
-LEAN = Parametrisation(pose, roll)
 
 
 def first_state_in_heading_frame(states: Tensor) -> Tensor:

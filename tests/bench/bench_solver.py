@@ -44,8 +44,7 @@ def batches(kit: Priors, draw: torch.Generator) -> None:
         return 100 * (found.states[..., joints] - truth[rows]).square().sum((1, 2)) + found.prior.nll(found.z).sum(1)
 
     def together() -> Tensor:
-        start = {"z": torch.zeros_like(z).requires_grad_()}
-        return minimise_batch(misfit, start, max_closures=CLOSURES, steps=2).energy
+        return minimise_batch(misfit, {"z": torch.zeros_like(z)}, max_closures=CLOSURES, steps=2).energy
 
     def one_by_one() -> Tensor:
         found = []

@@ -194,11 +194,10 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
         kept = terms if what.get("contacts", True) else terms.keys() - {"contact_vel", "contact_height"}
         return sum(x for n, x in terms.items() if n in kept)
 
-    point = {n: x.clone().requires_grad_() for n, x in new.items()}
     with torch.no_grad():
-        begun = sum(stages.motion_terms(task.problem, old(point, slice(None)), **what).values())
+        begun = sum(stages.motion_terms(task.problem, old(new, slice(None)), **what).values())
     enough = how.tolerance * begun.abs().nan_to_num(0.0, 0.0, 0.0)
-    fit = minimise_batch(energy, point, steps=1, inner=inner, memory=how.memory, tolerance_change=enough)
+    fit = minimise_batch(energy, new, steps=1, inner=inner, memory=how.memory, tolerance_change=enough)
     return old(fit.variables, slice(None)).detached()
 
 
@@ -207,7 +206,7 @@ def shooting(task: Task, work: Schedule) -> Run:
     began, plan, rival = clock(), work.shooting, None
     start = task.begun(starts.DAMPING_SHOOTING).unknown
     if work.guesses and task.problem.evidence.hides_feet.any():
-        plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, testops._WEIGHED))
+        plan = replace(plan, trial_rounds=max(plan.trial_rounds, testops._WEIGHED))
         rival = _seated(task)
     kept, seconds = [], []
 

@@ -65,7 +65,7 @@ def truths(scene: Scene, priors: Priors, generator: torch.Generator) -> tuple[Pr
 
 def found(problem: Problem, true: Unknowns, rounds: int = 4) -> Fitted:
     """Searches the energy's minimum from the truth, so that a wrong valley cannot spoil the ranks."""
-    at, _ = solve(problem, true, Plan(rounds, 20, 1e-5, mode_jumps=0, trial_rounds=0, two_starts=False))
+    at, _ = solve(problem, true, Plan(rounds, 20, 1e-5, mode_jumps=0, trial_rounds=0))
     return Fitted(None, {}, None, None, None, None, None, {}, {}, problem=problem, unknown=at.detached())
 
 

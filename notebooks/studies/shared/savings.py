@@ -26,7 +26,7 @@ from motionlab.humor.body_shape import landmarks
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Cvae, Gaussian, Priors
 from motionlab.humor.stages import Problem
-from motionlab.humor.unknowns import Parametrisation, Posed, Rolled, Unknowns, skeleton_of, to_matrix
+from motionlab.humor.unknowns import Posed, Rolled, Unknowns, skeleton_of, to_matrix
 from motionlab.skeleton import fk
 from studies.official import rollout as official_rollout
 from studies.official.body import body_joints_by_lbs, first_joints_by_lbs
@@ -216,8 +216,8 @@ def official_pose(unknown: Unknowns, priors: Priors, evidence: Evidence) -> Pose
     return Posed(each.trans, pose_from_axis_angle(pose), joints, seen, each.betas, each.camera)
 
 
-#: For a fit in official mode: what the official code does, at its price.
-OFFICIAL = Parametrisation(official_pose, partial(roll, on=FAITHFUL))
+#: Fields of a ``Problem`` in official mode: what the official code does, at its price.
+OFFICIAL = {"mode": "official", "pose": official_pose, "roll": partial(roll, on=FAITHFUL)}
 
 
 def terms(

@@ -102,8 +102,7 @@ class Workload:
         if part.stage == 3:
             how = {"grown": part.frames == self.frames, "contacts": part.contacts}
             return lambda mark=nullcontext: savings.closure(self.problem, unknown, on, mark=mark, **how)
-        faithful = {} if on == LEAN else {"mode": "official", "parametrisation": savings.OFFICIAL}
-        problem = replace(self.problem, **faithful)
+        problem = replace(self.problem, **({} if on == LEAN else savings.OFFICIAL))
 
         def pose(mark: Mark = nullcontext) -> Tensor:
             for x in unknown.named().values():
