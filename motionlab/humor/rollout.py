@@ -313,25 +313,23 @@ def _to_world(start: Frame, local: Tensor) -> Tensor:
 
 
 def sample_rollout(
-    model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None, rigid: bool = False
+    model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None
 ) -> Rollout:
-    """Computes a roll-out with z from the prior: drawn where a generator is given, else its mean. Keeps no gradients.
-
-    first: (B, 339) states, world coordinates. rigid: after every step the bones get the lengths back that they have in
-    the first state (not in HuMoR, whose joints drift from their bones).
+    """Computes a roll-out from states (B, 339), world coordinates, with z from the prior: drawn where a generator is
+    given, else its mean. Keeps no gradients.
     """
     check_shape(first, f"B {STATE}", "first")
     with torch.no_grad(), threads_for(len(first)):
         decoder = DecoderLayers.of(model)
         step, start = Stepper(decoder), heading(first)
-        x, lengths = localise(first, start), state.bone_lengths(first)
+        x = localise(first, start)
         after, logits, zs, means, variances = [], [], [], [], []
         for _ in range(steps):
             prior = model.prior(x)
             z = prior.mean if generator is None else prior.sample(generator)
             now = step(x, [F.linear(z, w, b) for w, b in zip(decoder.z_weights, decoder.biases, strict=True)])
-            x, there = (state.with_bone_lengths(each, lengths) if rigid else each for each in (now.moved, now.after))
-            after.append(there), logits.append(now.raw[:, CHANGES:]), zs.append(z)
+            x = now.moved
+            after.append(now.after), logits.append(now.raw[:, CHANGES:]), zs.append(z)
             means.append(prior.mean), variances.append(prior.log_var)
         after, logits, zs, means, variances = (torch.stack(each, 1) for each in (after, logits, zs, means, variances))
         return Rollout(_to_world(start, after), logits, zs, Gaussian(means, variances))
