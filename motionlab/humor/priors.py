@@ -258,19 +258,18 @@ class InitGmm:
 
     def each(self, features: Tensor) -> Tensor:
         """Computes log(w_k N_k(features)) (..., K), nats, float64."""
-        check_shape(features, f"... {self.means.shape[1]}", "features")
-        rows, shift, constant = (x.to(features.device) for x in self._white)
-        white = (features.double() @ rows.mT - shift).unflatten(-1, self.means.shape)
-        return constant - 0.5 * white.square().sum(-1)
+        off, _, constant = self.whitened(features)
+        return constant - 0.5 * off.square().sum(-1)
 
-    def whitened(self, features: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Computes W_k (features - m_k) (B, K, D), W_k slopes (B, K, D, n) and c_k (K,) from slopes (B, D, n).
+    def whitened(self, features: Tensor, slopes: Tensor | None = None) -> tuple[Tensor, Tensor | None, Tensor]:
+        """Computes W_k (features - m_k) (..., K, D), W_k slopes (B, K, D, n) from slopes (B, D, n), and c_k (K,).
 
         ``each`` is c_k - 1/2 |W_k (features - m_k)|^2; float64.
         """
+        check_shape(features, f"... {self.means.shape[1]}", "features")
         rows, shift, constant = (x.to(features.device) for x in self._white)
         off = (features.double() @ rows.mT - shift).unflatten(-1, self.means.shape)
-        return off, (rows @ slopes.double()).unflatten(1, self.means.shape), constant
+        return off, None if slopes is None else (rows @ slopes.double()).unflatten(1, self.means.shape), constant
 
     def log_prob(self, features: Tensor) -> Tensor:
         """Computes log p(features) (...), nats; inside in float64."""

@@ -312,9 +312,7 @@ def _to_world(start: Frame, local: Tensor) -> Tensor:
     return globalise(local, Frame(turn, shift))
 
 
-def sample_rollout(
-    model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None
-) -> Rollout:
+def sample_rollout(model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None) -> Rollout:
     """Computes a roll-out from states (B, 339), world coordinates, with z from the prior: drawn where a generator is
     given, else its mean. Keeps no gradients.
     """
