@@ -96,7 +96,7 @@ def test_rolled_out_is_stage_3_of_a_fit(kit, walk, camera):
         z = infer(kit.motion, states)[0].mean
     orient, joints_vel = rotation.matrix_to_sixd(parts["root_orient"]), parts["joints_vel"].flatten(-2)
     same = {name: parts[name] for name in ("trans", "trans_vel", "root_orient_vel")}
-    unknown = Unknowns(orient=orient, latent=latent, joints_vel=joints_vel, z=z, **same).map(lambda x: x[:, None])
+    unknown = Unknowns(orient=orient, latent=latent, joints_vel=joints_vel, z=z, **same)
     unknown = replace(unknown, betas=torch.zeros(2, 8), camera=torch.zeros(2, 3))
     wanted = stages.motion_terms(problem, unknown)
     first = stages.unknowns.first_state(unknown, kit)

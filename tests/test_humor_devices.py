@@ -18,8 +18,6 @@ FEW = Schedule(
     inner=1,
     short=3,
     refine=(0, 0),
-    window=4,
-    overlap=1,
     shooting=Plan(rounds=2, closures=2, trial_rounds=1, tolerance=-1e3),  # a second start, then jumps anywhere
 )
 

@@ -73,7 +73,7 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
         gmm = problem.priors.initial
         share = gmm.each(f).softmax(-1)
         pull = torch.einsum("bk,kij->bij", share, torch.linalg.inv(gmm.covariances))
-        weight = problem.weights.of(3, frames=unknown.z.shape[2] + 1)["init_motion_prior"]
+        weight = problem.weights.of(3, frames=unknown.z.shape[1] + 1)["init_motion_prior"]
         whole = white.rest + weight * white.features.mT @ pull @ white.features
         values = torch.linalg.eigvalsh(whole)
         assert values.max() < 1 + 1e-6 and (values > 0.9).float().mean() > 0.8
@@ -237,7 +237,7 @@ def test_a_plan_says_when_jumps_begin_how_sure_the_matrix_is_and_what_gain_is_no
     _, fits = solve(problem, unknown, plan, linearise=linearise)
     assert asked == [0, 0, 1, 1] and ridges == [0.1, 0.02, 0.01, 0.01] and len(fits) == 4
     gained = float((fits[2].energy - fits[3].energy).max())
-    plan = replace(plan, rounds=9, min_gain=1.01 * gained / (unknown.z.shape[2] + 1))
+    plan = replace(plan, rounds=9, min_gain=1.01 * gained / (unknown.z.shape[1] + 1))
     _, fewer = solve(problem, unknown, plan, linearise=linearise)
     assert len(fewer) <= 4 and torch.equal(fewer[0].energy, fits[0].energy)
     for wrong in ({"halving_after": -1}, {"halving_after": 29}, {"trial_rounds": -1}):

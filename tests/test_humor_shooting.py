@@ -65,7 +65,7 @@ def made(pose):
     spread = spread @ spread.mT + 0.05 * torch.eye(FIRST_STATE_SIZE, dtype=F64)
     mixture = InitGmm(torch.full((12,), 1 / 12, dtype=F64), noisy(start.expand(12, -1), 0.1, 2), spread)
     priors = replace(priors, initial=mixture)
-    truth = replace(work.moving, z=noisy(sample_rollout(model, first, FRAMES - 1).z[:, None], 0.3, 3))
+    truth = replace(work.moving, z=noisy(sample_rollout(model, first, FRAMES - 1).z, 0.3, 3))
     seen = work.problem.evidence
     joints = Evidence(torch.zeros(CLIPS, FRAMES, 22, 3, dtype=F64), torch.ones(CLIPS, FRAMES, 22, dtype=F64), walk.fps)
     kinds = {"joints": joints, "fixed": replace(seen, view=replace(seen.view, free=False)), "free": seen}
@@ -183,7 +183,7 @@ def test_control_with_one_part_of_the_coordinates_missing_they_are_not_round(smo
     with torch.no_grad():
         white = linearised(problem, unknown, stride=1)
         wrong = {"gains": 0 * white.gains, "shared": 0 * white.shared, "whiteners": 1.2 * white.whiteners}[part]
-        base = unknown.z[:, 0] if part == "gains" else white.base
+        base = unknown.z if part == "gains" else white.base
         h, n = hessian(problem, unknown, white._replace(base=base, **{part: wrong}))
         assert (h[:n] - torch.eye(len(h), dtype=F64)[:n]).abs().max() > 0.05
 
@@ -196,9 +196,9 @@ def test_anywhere_is_an_exact_roll_out_of_the_unknowns_there(cases, kind, stride
         white = linearised(problem, unknown, stride=stride)
         new = {n: 0.3 * torch.randn(x.shape, generator=seeded(3), dtype=F64) for n, x in nought(white).items()}
         at, rolled = unwhiten(problem, unknown, white, new)
-        there = replace(at, z=rolled.rollout.z[:, None])
+        there = replace(at, z=rolled.rollout.z)
         theirs = unknowns.roll(there, problem.priors, problem.evidence)
-        found = sum(stages.rolled_terms(problem, at, rolled).values())
+        found = sum(stages.rolled_terms(problem, rolled).values())
     torch.testing.assert_close(rolled.states, theirs.states, atol=1e-9, rtol=0)
     torch.testing.assert_close(found, total(problem, there), atol=0, rtol=1e-9)
     assert (theirs.states - unknowns.roll(unknown, problem.priors, problem.evidence).states).abs().max() > 1e-3
@@ -210,7 +210,7 @@ def test_gradients_in_the_coordinates_are_finite_differences(cases):
     point = {n: 0.1 * torch.randn(x.shape, generator=seeded(4), dtype=F64) for n, x in nought(white).items()}
 
     def value(new):
-        return sum(stages.rolled_terms(problem, *unwhiten(problem, unknown, white, new)).values()).sum()
+        return sum(stages.rolled_terms(problem, unwhiten(problem, unknown, white, new)[1]).values()).sum()
 
     leaves = {n: x.clone().requires_grad_() for n, x in point.items()}
     slopes = dict(zip(leaves, torch.autograd.grad(value(leaves), leaves.values()), strict=True))
@@ -350,13 +350,10 @@ def test_a_round_that_ends_higher_is_thrown_away(cases, monkeypatch):
     assert len(fits) == 2 and torch.equal(fits[1].energy, fits[0].energy)
 
 
-@pytest.mark.parametrize("change", ["windows", "steps"])
-def test_shapes_that_do_not_fit(cases, change):
-    """One window, and at least one transition."""
+def test_a_recording_without_transitions(cases):
     problem, unknown = cases["joints"]
-    z = unknown.z.repeat(1, 2, 1, 1) if change == "windows" else unknown.z[:, :, :0]
     with pytest.raises(ShapeError):
-        solve(problem, replace(unknown, z=z), STEADY)
+        solve(problem, replace(unknown, z=unknown.z[:, :0]), STEADY)
 
 
 def test_single_precision_and_two_frames():
@@ -365,7 +362,7 @@ def test_single_precision_and_two_frames():
     work = workload(walk, random_priors(seeded(), width=64), seeded(), batch=1)
     began = total(work.problem, work.moving)
     found, fits = solve(work.problem, work.moving, STEADY)
-    assert found.z.shape == (1, 1, 1, 48) and found.z.dtype == torch.float32
+    assert found.z.shape == (1, 1, 48) and found.z.dtype == torch.float32
     assert (fits[-1].energy < began).all()
     torch.testing.assert_close(total(work.problem, found), fits[-1].energy, atol=0, rtol=1e-3)
     assert all(x.isfinite().all() for x in found.named().values())

@@ -25,7 +25,6 @@ from motionlab.humor import body_shape, testops
 from motionlab.humor.energies import UNUSED_BODY_25
 from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import Priors
-from motionlab.humor.unknowns import window_starts
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.optimise import begins
@@ -124,8 +123,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
         return _of_height(seen, config, config.height)
     enough = (seen.confidence[..., USED] > 0).sum(-1) >= MIN_KEYPOINTS
     people, frames = enough.shape
-    whole = frames <= MAX_FRAMES or config.solver == "rollout"  # which cuts windows of its own
-    starts = (0,) if whole else window_starts(frames, WINDOW, OVERLAP)
+    whole = frames <= MAX_FRAMES
+    starts = (0,) if whole else _window_starts(frames)
     length = frames if whole else WINDOW
     camera, notes = config.camera, []
     floor = None if camera is None else "camera" if config.placed else "guess"
@@ -197,6 +196,12 @@ def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> Sc
     return replace(found, motions=motions, camera=camera, notes=(*found.notes, note), draws=draws)
 
 
+def _window_starts(frames: int) -> tuple[int, ...]:
+    """The first frames of the fewest windows that cover so many and share ``OVERLAP``."""
+    count = -(-(frames - OVERLAP) // (WINDOW - OVERLAP))
+    return tuple(round(k * (frames - WINDOW) / (count - 1)) for k in range(count))
+
+
 def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation2D:
     return replace(seen, keypoints=seen.keypoints[people][:, span], confidence=seen.confidence[people][:, span])
 
@@ -226,9 +231,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
 def _told(fitted: testops.Fitted) -> tuple[dict[str, Tensor], tuple[list[str], ...]]:
     """What is kept of a fit: tensors, their energies (E, P) by term; notes, why each search ended, and the terms."""
     motion, people, doubts = fitted.motion, len(fitted.betas), fitted.diagnostics
-    latent_chi2 = motion.root.new_full((people,), float("nan"))
-    if doubts is not None:
-        latent_chi2 = doubts.latent_chi2.unflatten(0, (people, -1)).mean(-1)
+    latent_chi2 = motion.root.new_full((people,), float("nan")) if doubts is None else doubts.latent_chi2
     energy = fitted.energies[max(fitted.energies)]
     tensors = {
         "root": motion.root, "rot": motion.rot, "contacts": fitted.contacts, "betas": fitted.betas.detach(),

@@ -76,8 +76,8 @@ def unwhiten(
 
 
 def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
-    """Computes unknowns after a change (G, f) of the first state and of what is shared."""
-    parts = dict(zip(FIRST_SIZES, change[:, None, :_FIRST].split(list(FIRST_SIZES.values()), -1), strict=True))
+    """Computes unknowns after a change (B, f) of the first state and of what is shared."""
+    parts = dict(zip(FIRST_SIZES, change[:, :_FIRST].split(list(FIRST_SIZES.values()), -1), strict=True))
     new = {n: getattr(unknown, n) + part for n, part in parts.items() if n != "orient"}
     new["orient"] = unknowns.from_matrix(rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient), "lean")
     new["betas"] = unknown.betas + change[:, _FIRST : _FIRST + BETAS]
@@ -89,7 +89,7 @@ def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
 @torch.inference_mode(False)
 @torch.no_grad()
 def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Whitening:
-    """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames.
+    """Computes coordinates around the roll-out of unknowns (B, ...), networks differentiated at stride-th frames.
 
     On a CPU one clip after another: the matrices of one stay in its cache.
     """
@@ -107,7 +107,7 @@ def _clip_by_clip(z: Tensor) -> bool:
 
 
 def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) -> Whitening:
-    z, model = unknown.z[:, 0], problem.priors.motion
+    z, model = unknown.z, problem.priors.motion
     clips, frames = z.shape[0], z.shape[1] + 1
     first = unknowns.first_state(unknown, problem.priors)
     rollout, inputs = steered_rollout(model, first, z)

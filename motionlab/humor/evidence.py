@@ -157,13 +157,6 @@ class Evidence:
         """Returns the first frames."""
         return replace(self, values=self.values[:, :frames], weight=self.weight[:, :frames])
 
-    def windows(self, starts: Tensor, length: int) -> Self:
-        """Cuts every clip into W windows of ``length`` that begin at ``starts`` (W,): clips become B W rows."""
-        at = starts[:, None] + torch.arange(length)
-        values, weight = (x[:, at].flatten(0, 1) for x in (self.values, self.weight))
-        rows = torch.arange(len(self.values)).repeat_interleave(len(starts))
-        return replace(self, values=values, weight=weight, view=self.view and self.view.rows(rows))
-
 
 def evidence(
     observation: Observation2D | Observation3D, *, cameras: Sequence[Camera] | None = None, floor: str | None = None,

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab.errors import NotConverged, ShapeError
+from motionlab.errors import NotConverged
 from motionlab.humor.coordinates import Whitening, linearised, mixed_features, unwhiten
 from motionlab.humor.gauss_newton import factorised
 from motionlab.humor.stages import Problem, interrupted, rolled_terms
@@ -73,7 +73,7 @@ def solve(
     linearise: Callable[..., Whitening] = linearised, note: Callable[[], None] = lambda: None,
     progress: bool | str = False,
 ) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
-    """Runs the feedback solver from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
+    """Runs the feedback solver from unknowns (G, ...); Ctrl-C keeps the best so far.
 
     second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: called
     as ``coordinates.linearised``; another for ablations. note: called whenever energies are known.
@@ -81,11 +81,9 @@ def solve(
     Returns:
         the unknowns of lowest energy, and the reports of all rounds, of all clips; of one that is done: "no decrease".
     Raises:
-        ShapeError: recordings in several windows, or of one frame.
+        ShapeError: recordings of one frame.
         NotConverged: no clip has a finite energy and gradient at the start.
     """
-    if unknown.z.shape[1] != 1:
-        raise ShapeError(f"z: expected one window per recording, got {unknown.z.shape[1]}")
     plan, clips = plan or Plan(), len(unknown.z)
     unknown = unknown.map(lambda x: x.detach().clone())
     if second_start is not None and plan.trial_rounds:
@@ -130,7 +128,7 @@ def solve(
         whole = BatchFit({}, energy.clone(), history, time.perf_counter() - mark, reasons)
         fits.append(_of_clips(whole, every % clips)[1])
         done = plan.tolerance * energy[live].abs()
-        gained = gain > (done.clamp(min=plan.min_gain * (unknown.z.shape[2] + 1)) if plan.min_gain else done)
+        gained = gain > (done.clamp(min=plan.min_gain * (unknown.z.shape[1] + 1)) if plan.min_gain else done)
         mark, live = time.perf_counter(), live if trial else live[gained]
         if interrupted(fit):
             break
@@ -192,16 +190,16 @@ def minimise_from(
         if len(rows) < len(who):  # gains are large: no copies while all run
             these, at, near = some.rows(rows), here.rows(rows), around.rows(rows)
         at, rolled = unwhiten(these, at, near, new)
-        found = sum(rolled_terms(these, at, rolled).values())
+        found = sum(rolled_terms(these, rolled).values())
         note()
         return found
 
-    start = {"nu": torch.zeros_like(here.z[:, 0]) if nu is None else nu, "first": first}
+    start = {"nu": torch.zeros_like(here.z) if nu is None else nu, "first": first}
     how = {"inner": closures, "max_closures": closures, "tolerance_change": enough}
     fit = minimise_batch(energy, start, steps=1, unit=True, progress=progress, **how)
     with torch.no_grad():
         at, rolled = unwhiten(some, here, around, fit.variables)
-    return replace(at, z=rolled.rollout.z[:, None]), fit
+    return replace(at, z=rolled.rollout.z), fit
 
 
 def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
@@ -267,9 +265,9 @@ def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> Mixt
     """Computes, for each mixture component of the first state, how much lower the energy should be there."""
     clips, size = white.first.shape[:2]
     weight, gmm = _weight(problem, unknown), problem.priors.initial
-    new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": white.first.new_zeros(clips, size).requires_grad_()}
+    new = {"nu": torch.zeros_like(unknown.z), "first": white.first.new_zeros(clips, size).requires_grad_()}
     with torch.enable_grad():
-        terms = rolled_terms(problem, *unwhiten(problem, unknown, white, new))
+        terms = rolled_terms(problem, unwhiten(problem, unknown, white, new)[1])
         whole = sum(terms.values())
         rest = whole - terms.get("init_motion_prior", 0.0)
         g = torch.autograd.grad(rest.sum(), new["first"])[0].double()
@@ -288,4 +286,4 @@ def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> Mixt
 
 
 def _weight(problem: Problem, unknown: Unknowns) -> float:
-    return problem.weights.of(3, frames=unknown.z.shape[2] + 1).get("init_motion_prior", 0.0)
+    return problem.weights.of(3, frames=unknown.z.shape[1] + 1).get("init_motion_prior", 0.0)

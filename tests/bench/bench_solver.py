@@ -67,12 +67,12 @@ def loops(kit: Priors, draw: torch.Generator) -> None:
     work = workload(clips.draw(1, draw, actions=("walk",))[0].motion.cut(0, 60), kit, draw, 1, inferred=True)
     unknown = work.moving.detached()
     around = coordinates.linearised(work.problem, unknown)
-    zero = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": torch.zeros_like(around.first[:, 0])}
+    zero = {"nu": torch.zeros_like(unknown.z), "first": torch.zeros_like(around.first[:, 0])}
 
     def in_loops() -> Tensor:
         moving = {n: x.clone().requires_grad_() for n, x in zero.items()}
-        at, rolled = coordinates.unwhiten(work.problem, unknown, around, moving)
-        energy = sum(rolled_terms(work.problem, at, rolled).values())
+        _, rolled = coordinates.unwhiten(work.problem, unknown, around, moving)
+        energy = sum(rolled_terms(work.problem, rolled).values())
         torch.autograd.grad(energy.sum(), list(moving.values()))
         return energy
 

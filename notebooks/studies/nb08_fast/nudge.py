@@ -26,7 +26,7 @@ def nudged(task: Task, unknown: Unknowns, number: int, sigmas: float) -> Nudged:
     out with the other latents held (open loop) or answering (closed loop)."""
     white = coordinates.linearised(task.problem, unknown, stride=4)
     with torch.no_grad():
-        first, z = unknowns.first_state(unknown, task.problem.priors), unknown.z[:, 0]
+        first, z = unknowns.first_state(unknown, task.problem.priors), unknown.z
         plain, _ = steered_rollout(task.problem.priors.motion, first, z)
         push = torch.zeros_like(z)
         sign = torch.randn(z.shape[-1], generator=torch.Generator().manual_seed(number)).sign()

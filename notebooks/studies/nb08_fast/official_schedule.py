@@ -76,7 +76,7 @@ def _row(energy: Tensor, error: Tensor, **more: object) -> dict[str, object]:
 def in_full(task: Task, schedule: Schedule) -> tuple[Unknowns, int]:
     """The unknowns that the faithful form's stage 3 ends with, after all of its sub-stages, and how many closures."""
     problem = replace(task.problem, **savings.OFFICIAL)
-    how = (problem.evidence.confidence_per_joint, problem.priors, (0,), task.truth.frames, "official")
+    how = (problem.evidence.confidence_per_joint, problem.priors, "official")
     unknown, factors = starts.start_stage_3(task.rough, task.latent, task.unknown.shared(), *how)
     work = {name: getattr(schedule, name) for name in ("short", "refine", "inner", "tolerance")}
     unknown, fits = stages.stage_3(problem, unknown, factors, steps=schedule.steps[2], **work)

@@ -58,7 +58,7 @@ class Task:
     def begun(self, eager: float, trust: Tensor | None = None) -> Task:
         """The same at another start (``start.start_stage_3``), joints believed as the evidence has them or as told."""
         trust = self.problem.evidence.confidence_per_joint if trust is None else trust
-        how = (trust, self.problem.priors, (0,), self.truth.frames, "lean", self.problem.weights.pull, eager)
+        how = (trust, self.problem.priors, "lean", self.problem.weights.pull, eager)
         start, factors = starts.start_stage_3(self.rough, self.latent, self.unknown.shared(), *how)
         return replace(self, unknown=start.detached(), factors=factors)
 
@@ -100,7 +100,7 @@ def prepare(
     unknown = unknown.detached()
     seen = torch.ones(truth.positions.shape[:-1], dtype=torch.bool) if seen is None else seen
     spent = clock() - began
-    task = Task(name, problem, unknown, None, unknown.latent[:, 0], truth, rough, seen, spent)
+    task = Task(name, problem, unknown, None, unknown.latent, truth, rough, seen, spent)
     return task.begun(starts.DAMPING_SHOOTING)
 
 
@@ -170,14 +170,14 @@ def single_shooting(task: Task, how: Single) -> Run:
     """Lean single shooting of one clip: L-BFGS on first state and z in the rounder coordinates of ``start_stage_3``."""
     log, task = Log(), task.begun(how.eager)
     every = (*FIRST, "z", "betas")
-    short = min(15, task.unknown.z.shape[2] + 1)
+    short = min(15, task.unknown.z.shape[1] + 1)
     unknown = task.unknown
-    head = replace(unknown, z=unknown.z[:, :, : short - 1])
+    head = replace(unknown, z=unknown.z[:, : short - 1])
     parts = [(every, {"grown": False}), (tuple(n for n in every if n not in FIRST), {"contacts": False}), (every, {})]
     for (moving, what), inner in zip(parts, how.iterations, strict=True):
         if inner > 0:
             found = _descended(task, head if what == {"grown": False} else unknown, moving, inner, how, log, what)
-            unknown = replace(found, z=torch.cat((found.z, unknown.z[:, :, found.z.shape[2] :]), 2))
+            unknown = replace(found, z=torch.cat((found.z, unknown.z[:, found.z.shape[1] :]), 1))
     return log.run()
 
 

@@ -50,11 +50,11 @@ def truths(scene: Scene, priors: Priors, generator: torch.Generator) -> tuple[Pr
     first["latent"] = priors.pose.encode(parts["pose_body"]).mean
     shape = (nat / (2 * frames * weights.shape_prior[2])) ** 0.5
     begun = Unknowns(
-        **{name: value[:, None] for name, value in first.items()}, camera=torch.zeros(clips, 3),
+        **first, camera=torch.zeros(clips, 3),
         betas=shape * torch.randn(clips, 8, generator=generator),
     )  # fmt: skip
     rolled = sample_rollout(priors.motion, unknowns.first_state(begun, priors), frames - 1, generator=generator)
-    true = replace(begun, z=rolled.z[:, None])
+    true = replace(begun, z=rolled.z)
     body = unknowns.roll(true, priors, evidence(scene.observation, cameras=scene.cameras)).body
     noise = (nat / (2 * weights.joints2d[2])) ** 0.5 * torch.randn(body.observed.shape, generator=generator)
     sure = (scene.observation.confidence > 0).float()

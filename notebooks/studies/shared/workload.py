@@ -84,7 +84,7 @@ class Workload:
         """Leaves for a closure; as rotation vectors where the form of this part is written in them."""
         found = (self.moving if part.stage == 3 else self.still).named()
         if part.stage == 3:
-            found["z"] = found["z"][:, :, : part.frames - 1]
+            found["z"] = found["z"][:, : part.frames - 1]
         if not on.matrices if part.stage == 3 else on != LEAN:
             found["orient"] = unknowns.from_matrix(unknowns.to_matrix(found["orient"]), "official")
         free = {1: ("trans", "orient"), 2: tuple(found)}.get(part.stage, tuple(found))
@@ -132,19 +132,19 @@ def workload(
 
     betas = from_skeleton(motion.skeleton).expand(batch, -1)
     states = state.from_motion(motion, causal=priors.motion.causal)
-    first = state.unpack(states[:, None, 0])
+    first = state.unpack(states[:, 0])
     shared = {"betas": betas + noise(*betas.shape, scale=0.1), "camera": noise(batch, 3, scale=0.02)}
-    still = {"trans": motion.root[:, None], "orient": unknowns.from_matrix(motion.rot[:, None, :, 0], "lean")}
-    still["latent"] = noise(batch, 1, motion.frames, 32, scale=0.5)
+    still = {"trans": motion.root, "orient": unknowns.from_matrix(motion.rot[:, :, 0], "lean")}
+    still["latent"] = noise(batch, motion.frames, 32, scale=0.5)
     moving = {name: first[name] for name in ("trans", "trans_vel", "root_orient_vel")}
     moving |= {"orient": unknowns.from_matrix(first["root_orient"], "lean")}
-    moving |= {"joints_vel": first["joints_vel"].flatten(-2), "latent": noise(batch, 1, 32, scale=0.5)}
-    moving["z"] = noise(batch, 1, motion.frames - 1, priors.motion.latent, scale=0.3)
+    moving |= {"joints_vel": first["joints_vel"].flatten(-2), "latent": noise(batch, 32, scale=0.5)}
+    moving["z"] = noise(batch, motion.frames - 1, priors.motion.latent, scale=0.3)
     if inferred:
         with torch.no_grad():
-            still["latent"] = priors.pose.encode(motion.rot[..., 1:, :, :]).mean[:, None]
-            moving["latent"] = still["latent"][:, :, 0]
-            moving["z"] = infer(priors.motion, states)[0].mean[:, None]
+            still["latent"] = priors.pose.encode(motion.rot[..., 1:, :, :]).mean
+            moving["latent"] = still["latent"][:, 0]
+            moving["z"] = infer(priors.motion, states)[0].mean
     problem = stages.Problem(_evidence(motion, betas, noise, generator), priors, RGB)
     return Workload(problem, Unknowns(**still, **shared), Unknowns(**moving, **shared))
 
