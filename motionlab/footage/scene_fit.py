@@ -216,7 +216,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
     part = _cut(seen, who, span)
     begins("the camera, from the seconds that show most", config.progress)
     floor = None if config.camera is None else "guess"
-    work = QUICK_WORK if len(part.keypoints) > 1 else config.schedule
+    work = QUICK_WORK if len(part.keypoints) > 1 else config.schedule or FULL_WORK
     fitted = config.fit(part, config.camera, floor, schedule=work, solver="shooting")
     if fitted.stopped:
         raise KeyboardInterrupt
