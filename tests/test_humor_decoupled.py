@@ -1,17 +1,14 @@
 """The decoupled energy: against loops over single transitions, at an exact roll-out; the toy."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
-from motionlab import rotation
 from motionlab.humor import stages, state
 from motionlab.humor.energies import KEYPOINTS, RGB_LIGHT
 from motionlab.humor.evidence import evidence
 from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.stages import Problem
-from motionlab.humor.unknowns import Unknowns
+from motionlab.humor.unknowns import of_first_state
 from studies.nb07_decoupled import energy
 from studies.nb07_decoupled.energy import Form, sequences, terms, to_persistent, to_states
 from tests.fit_inputs import joints, keypoints
@@ -90,14 +87,11 @@ def test_rolled_out_is_stage_3_of_a_fit(kit, walk, camera):
     """The judge and ``stages.motion_terms`` say the same of the same first state and latents."""
     problem = Problem(evidence(keypoints(walk, camera), cameras=[camera] * 2), kit, RGB_LIGHT)
     states = state.from_motion(walk)
-    parts = state.unpack(states[:, 0])
     with torch.no_grad():
         latent = kit.pose.encode(walk.rot[:, 0, 1:]).mean
         z = infer(kit.motion, states)[0].mean
-    orient, joints_vel = rotation.matrix_to_sixd(parts["root_orient"]), parts["joints_vel"].flatten(-2)
-    same = {name: parts[name] for name in ("trans", "trans_vel", "root_orient_vel")}
-    unknown = Unknowns(orient=orient, latent=latent, joints_vel=joints_vel, z=z, **same)
-    unknown = replace(unknown, betas=torch.zeros(2, 8), camera=torch.zeros(2, 3))
+    shared = {"betas": torch.zeros(2, 8), "camera": torch.zeros(2, 3)}
+    unknown = of_first_state(states[:, 0], latent, z=z, **shared)
     wanted = stages.motion_terms(problem, unknown)
     first = stages.unknowns.first_state(unknown, kit)
     x = to_persistent(torch.cat((first[:, None], states[:, 1:]), 1))

@@ -29,7 +29,7 @@ from motionlab.humor import state
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Cvae, Priors
 from motionlab.humor.rollout import infer
-from motionlab.humor.unknowns import Unknowns, from_matrix
+from motionlab.humor.unknowns import Unknowns, of_first_state
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25
 from motionlab.skeleton import BALLS, STANDARD, UPRIGHT
@@ -224,19 +224,13 @@ def start_stage_3(
         weight: of the motion prior beside a square metre, w. damping: share on the way.
     """
     states = state.from_motion(motion, causal=priors.motion.causal)
-    first = state.unpack(states[:, 0])
     with torch.no_grad():
         if mode == "lean":
             z, curvature, sharp = _follow(priors.motion, states, confidence, damping * weight)
             factors = _factors(curvature, sharp, weight)
         else:
             z, factors = infer(priors.motion, states)[0].mean, None
-    unknown = Unknowns(
-        trans=first["trans"], orient=from_matrix(first["root_orient"], mode), latent=latent[:, 0],
-        trans_vel=first["trans_vel"], root_orient_vel=first["root_orient_vel"],
-        joints_vel=first["joints_vel"].flatten(-2), z=z, **shared,
-    )  # fmt: skip
-    return unknown, factors
+    return of_first_state(states[:, 0], latent[:, 0], mode, z=z, **shared), factors
 
 
 def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> tuple[Tensor, Tensor, Tensor]:

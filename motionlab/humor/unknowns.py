@@ -121,6 +121,14 @@ def pose(unknown: Unknowns, priors: Priors, evidence: Evidence) -> Posed:
     return _posed(unknown.trans, rot, unknown, evidence)
 
 
+def of_first_state(first: Tensor, latent: Tensor, mode: str = "lean", **more: Tensor) -> Unknowns:
+    """Computes the unknowns of first states (B, 339) with pose latents (B, 32), and with ``more`` of them as given."""
+    parts = state.unpack(first)
+    same = {name: parts[name] for name in ("trans", "trans_vel", "root_orient_vel")}
+    orient, joints_vel = from_matrix(parts["root_orient"], mode), parts["joints_vel"].flatten(-2)
+    return Unknowns(orient=orient, latent=latent, joints_vel=joints_vel, **same, **more)
+
+
 def first_state(unknown: Unknowns, priors: Priors) -> Tensor:
     """Computes x0 (B, 339), world, from its unknowns; its joints follow from root, pose and shape."""
     turn, body = to_matrix(unknown.orient), priors.pose.decode(unknown.latent)

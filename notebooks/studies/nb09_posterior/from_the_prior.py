@@ -43,16 +43,11 @@ def truths(scene: Scene, priors: Priors, generator: torch.Generator) -> tuple[Pr
     nat = weights.motion_prior[2]
     off = dict.fromkeys(("joint_consistency", "bone_length", "contact_vel", "contact_height"), (0.0,) * 3)
     weights = replace(weights, **off, init_motion_prior=(0.0, 0.0, nat * 15 / frames))  # grows by frames / 15
-    parts = state.unpack(state.from_motion(scene.truth, causal=priors.motion.causal)[:, 0])
-    first = {name: parts[name] for name in ("trans", "trans_vel", "root_orient_vel")}
-    first["joints_vel"] = parts["joints_vel"].flatten(-2)
-    first["orient"] = unknowns.from_matrix(parts["root_orient"], "lean")
-    first["latent"] = priors.pose.encode(parts["pose_body"]).mean
+    first = state.from_motion(scene.truth, causal=priors.motion.causal)[:, 0]
+    latent = priors.pose.encode(state.unpack(first)["pose_body"]).mean
     shape = (nat / (2 * frames * weights.shape_prior[2])) ** 0.5
-    begun = Unknowns(
-        **first, camera=torch.zeros(clips, 3),
-        betas=shape * torch.randn(clips, 8, generator=generator),
-    )  # fmt: skip
+    betas = shape * torch.randn(clips, 8, generator=generator)
+    begun = unknowns.of_first_state(first, latent, betas=betas, camera=torch.zeros(clips, 3))
     rolled = sample_rollout(priors.motion, unknowns.first_state(begun, priors), frames - 1, generator=generator)
     true = replace(begun, z=rolled.z)
     body = unknowns.roll(true, priors, evidence(scene.observation, cameras=scene.cameras)).body

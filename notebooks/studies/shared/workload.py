@@ -132,13 +132,10 @@ def workload(
 
     betas = from_skeleton(motion.skeleton).expand(batch, -1)
     states = state.from_motion(motion, causal=priors.motion.causal)
-    first = state.unpack(states[:, 0])
     shared = {"betas": betas + noise(*betas.shape, scale=0.1), "camera": noise(batch, 3, scale=0.02)}
     still = {"trans": motion.root, "orient": unknowns.from_matrix(motion.rot[:, :, 0], "lean")}
     still["latent"] = noise(batch, motion.frames, 32, scale=0.5)
-    moving = {name: first[name] for name in ("trans", "trans_vel", "root_orient_vel")}
-    moving |= {"orient": unknowns.from_matrix(first["root_orient"], "lean")}
-    moving |= {"joints_vel": first["joints_vel"].flatten(-2), "latent": noise(batch, 32, scale=0.5)}
+    moving = {"latent": noise(batch, 32, scale=0.5)}
     moving["z"] = noise(batch, motion.frames - 1, priors.motion.latent, scale=0.3)
     if inferred:
         with torch.no_grad():
@@ -146,7 +143,7 @@ def workload(
             moving["latent"] = still["latent"][:, 0]
             moving["z"] = infer(priors.motion, states)[0].mean
     problem = stages.Problem(_evidence(motion, betas, noise, generator), priors, RGB)
-    return Workload(problem, Unknowns(**still, **shared), Unknowns(**moving, **shared))
+    return Workload(problem, Unknowns(**still, **shared), unknowns.of_first_state(states[:, 0], **moving, **shared))
 
 
 def _evidence(motion: Motion, betas: Tensor, noise: Noise, generator: torch.Generator) -> Evidence:
