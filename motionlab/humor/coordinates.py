@@ -27,11 +27,9 @@ from motionlab.humor.priors import Gaussian
 from motionlab.humor.rollout import steered_rollout
 from motionlab.humor.stages import Problem
 from motionlab.humor.state import ADDED
-from motionlab.humor.unknowns import Rolled, Unknowns
+from motionlab.humor.unknowns import FIRST, Rolled, Unknowns
 
-#: Sizes of the first state's unknowns, its rotation as a vector.
-FIRST_SIZES = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orient_vel": 3, "joints_vel": 66}
-_FIRST = sum(FIRST_SIZES.values())
+_FIRST = sum(FIRST.values())
 #: Where the features of the initial-state mixture stand in xi: joints, joints_vel, trans_vel, root_orient_vel.
 _FEATURES = [*range(9, 141), *range(3, 9)]
 _INFORMATION = 0.25 * 0.5
@@ -77,7 +75,7 @@ def unwhiten(
 
 def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
     """Computes unknowns after a change (B, f) of the first state and of what is shared."""
-    parts = dict(zip(FIRST_SIZES, change[:, :_FIRST].split(list(FIRST_SIZES.values()), -1), strict=True))
+    parts = dict(zip(FIRST, change[:, :_FIRST].split(list(FIRST.values()), -1), strict=True))
     new = {n: getattr(unknown, n) + part for n, part in parts.items() if n != "orient"}
     new["orient"] = unknowns.from_matrix(rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient), "lean")
     new["betas"] = unknown.betas + change[:, _FIRST : _FIRST + BETAS]

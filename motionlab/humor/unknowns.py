@@ -20,8 +20,8 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton, fk
 
 _FLAT = 0.1  # the sine of the angle between the two vectors of a rotation, below which they are nearly parallel
-#: The unknowns of the first state, x0.
-FIRST = ("trans", "orient", "latent", "trans_vel", "root_orient_vel", "joints_vel")
+#: The unknowns of the first state, x0, and of how many numbers a small change of each is (of a rotation, its vector).
+FIRST = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orient_vel": 3, "joints_vel": 66}
 
 
 @dataclass(frozen=True, eq=False)
