@@ -29,7 +29,7 @@ def network(width: int = 128, *, skip: bool = False) -> Cvae:
             net[-1].bias.zero_()
         if skip:
             made.skip.weight *= 0.1
-    return reorder(made).eval().requires_grad_(False)  # drawn as official weights
+    return reorder(made).frozen()  # drawn as official weights
 
 
 def golden_mixture() -> InitGmm:

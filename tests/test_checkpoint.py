@@ -24,7 +24,7 @@ RECIPE = {"what": "a test", "seed": 3}
 def kept(tmp_path):
     """A small model, saved."""
     torch.manual_seed(0)
-    model = Cvae(64).eval().requires_grad_(False)
+    model = Cvae(64).frozen()
     checkpoint.save(tmp_path / "small", official_weights(model), RECIPE)
     return model, tmp_path / "small"
 

@@ -257,7 +257,7 @@ def test_a_model_that_says_nothing_goes_on_at_its_velocity(data, transitions):
 
 def test_weights_in_the_official_order_come_back(tmp_path, transitions):
     past = transitions[0].float()
-    model, z = model_with_skip().eval().requires_grad_(False), torch.randn(len(past), 48, generator=seeded())
+    model, z = model_with_skip().frozen(), torch.randn(len(past), 48, generator=seeded())
     weights = official_weights(model)
     again = from_weights(weights, tmp_path / "x", "none")
     assert torch.equal(again.decode(past, z), model.decode(past, z)) and again.causal

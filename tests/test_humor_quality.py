@@ -32,7 +32,7 @@ def still():
         for net in (model.encoder, model.prior_net, model.decoder):
             net.net[-1].weight.zero_()
             net.net[-1].bias.zero_()
-    return model.eval().requires_grad_(False)
+    return model.frozen()
 
 
 def touching(model, joints=None):

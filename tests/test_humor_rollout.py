@@ -24,7 +24,7 @@ def model():
         for name, value in made.named_parameters():
             if value.ndim == 1:  # norms that do something
                 value += 0.1 * torch.randn(value.shape, dtype=F64, generator=torch.Generator().manual_seed(len(name)))
-    return made.eval().requires_grad_(False)
+    return made.frozen()
 
 
 def latents(generator, batch, steps):
@@ -88,7 +88,7 @@ def test_one_bad_clip_leaves_the_others_alone(model, generator):
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, dtype):
     """The right axis up: the frame keeps its axes, the gradient is finite, and near by it is the plain loop's."""
-    net = Cvae(64).to(dtype).eval().requires_grad_(False)
+    net = Cvae(64).to(dtype).frozen()
     with torch.no_grad():
         net.decoder.net[-1].weight.zero_(), net.decoder.net[-1].bias.zero_()  # the state stays where it is
     first = first_states(generator, 2).to(dtype)

@@ -19,7 +19,7 @@ def shipped(tmp_path, monkeypatch):
     """A folder of weights with one small causal prior in it."""
     monkeypatch.setattr(checkpoint, "SHIPPED", tmp_path)
     torch.manual_seed(0)
-    model = Cvae(64, skip=True).eval().requires_grad_(False)
+    model = Cvae(64, skip=True).frozen()
     recipe = {"made by": "a test", "people": 2, "minutes of motion, before mirroring": {"recordings": 90.0}}
     checkpoint.save(tmp_path / "humor_tiny", official_weights(model), recipe)
     yield tmp_path

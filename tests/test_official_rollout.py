@@ -22,7 +22,7 @@ def model(width: int = 64, dtype: torch.dtype = F64) -> Cvae:
     made = Cvae(width).to(dtype)
     with torch.no_grad():
         made.decoder.net[-1].weight *= 0.3
-    return made.eval().requires_grad_(False)
+    return made.frozen()
 
 
 def test_clips_do_not_see_each_other(generator):

@@ -39,10 +39,10 @@ _SHARPEST = 1e2  # 1 / sigma of the prior counts no more than this in the matrix
 class Whitening(NamedTuple):
     """Coordinates around a roll-out in which the Gauss-Newton matrix is the identity.
 
-    base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``rollout``; shared (B, T - 1, 48, S): on
-    what all frames share. whiteners (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
-    shared, in these coordinates: rest (B, f, f), the matrix without the initial-state mixture, whose features move by
-    (B, 138, f).
+    base (B, T - 1, 48): its z - K X. gains (T - 1, B, 48, 345), time first as roll-outs read them: on X of ``rollout``;
+    shared (B, T - 1, 48, S): on what all frames share. whiteners (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T.
+    Of the first state and what is shared, in these coordinates: rest (B, f, f), the matrix without the initial-state
+    mixture, whose features move by (B, 138, f).
     """
 
     base: Tensor
@@ -54,9 +54,8 @@ class Whitening(NamedTuple):
     features: Tensor
 
     def rows(self, index: Tensor) -> Self:
-        """Returns the coordinates of some clips, which may repeat; gains as roll-outs read them."""
-        gains = self.gains.transpose(0, 1)[:, index].transpose(0, 1)
-        return Whitening(*(x[index] for x in self._replace(gains=self.base)))._replace(gains=gains)
+        """Returns the coordinates of some clips, which may repeat."""
+        return Whitening(*(x[:, index] if x is self.gains else x[index] for x in self))
 
 
 def unwhiten(
@@ -69,7 +68,7 @@ def unwhiten(
     shared = change[:, _FIRST:]
     u = white.base + (white.whiteners @ new["nu"][..., None])[..., 0]
     u = u + (white.shared @ shared[:, None, :, None])[..., 0]
-    rollout, _ = steered_rollout(problem.priors.motion, first, u, white.gains)
+    rollout, _ = steered_rollout(problem.priors.motion, first, u, white.gains.transpose(0, 1))
     return at, unknowns.rolled_from(first, rollout, at, problem.evidence)
 
 
@@ -95,9 +94,8 @@ def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stri
         return _linearised(problem, unknown, ridge, stride)
     each = torch.arange(len(unknown.z)).split(1)
     parts = [_linearised(problem.rows(i), unknown.rows(i), ridge, stride) for i in each]
-    whole = Whitening(*(torch.cat(x) for x in zip(*(p._replace(gains=p.base) for p in parts), strict=True)))
-    gains = torch.cat([p.gains.transpose(0, 1) for p in parts], 1).transpose(0, 1)  # as roll-outs read them
-    return whole._replace(gains=gains)
+    fields = zip(Whitening._fields, zip(*parts, strict=True), strict=True)
+    return Whitening(*(torch.cat(x, 1 if name == "gains" else 0) for name, x in fields))
 
 
 def _clip_by_clip(z: Tensor) -> bool:
@@ -131,8 +129,8 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
     both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
     swept = riccati_sweep(found.of_frame.mT @ found.of_frame, a, b, both.mT @ both, ridge)
     gains, shared = _gains_on_states(swept.gains, past, frame)
-    gains = gains.transpose(0, 1).contiguous().transpose(0, 1)  # as roll-outs read them
-    base = z - (gains @ inputs[..., None])[..., 0]
+    gains = gains.transpose(0, 1).contiguous()
+    base = z - (gains.transpose(0, 1) @ inputs[..., None])[..., 0]
     return Whitening(base, gains, shared, swept.whiteners, *whiten_first_state(problem, unknown, swept.first, frames))
 
 

@@ -25,7 +25,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
@@ -145,6 +145,10 @@ class Cvae(nn.Module):
         """Computes raw changes and contact logits (..., 216) of the next state; ``state.apply`` adds them."""
         raw = _rows(self.decoder, torch.cat((past, z), dim=-1))
         return raw if self.skip is None else raw + self.skip(past)
+
+    def frozen(self) -> Self:
+        """Returns itself, in evaluation mode, its weights without gradients: what a fit wants."""
+        return self.eval().requires_grad_(requires_grad=False)
 
 
 def _rows(net: nn.Module, x: Tensor) -> Tensor:

@@ -124,7 +124,7 @@ class ChainTraining(TrainingRun):
         super().__init__(recipe, windows.digest, torch.Generator().manual_seed(recipe.seed), model, optimiser)
 
     def _ready(self, model: Cvae) -> Cvae:
-        return self.scales.folded(model).eval().requires_grad_(False)
+        return self.scales.folded(model).frozen()
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe, share = self.recipe, self.step / self.recipe.steps

@@ -107,7 +107,7 @@ def seeded(alternative: bool = False) -> Cvae:
         else:
             value = 1 + 0.1 * raw if name.endswith("weight") else raw * 0.05 * (0.2 if last < 1 else 1.0)
         tensors[name] = torch.as_tensor(value.astype(np.float32))
-    return from_weights(tensors, Path("golden weights"), "").double().eval().requires_grad_(False)
+    return from_weights(tensors, Path("golden weights"), "").double().frozen()
 
 
 def difference(found: Tensor, golden: Tensor) -> float:

@@ -31,7 +31,7 @@ def nudged(task: Task, unknown: Unknowns, number: int, sigmas: float) -> Nudged:
         push = torch.zeros_like(z)
         sign = torch.randn(z.shape[-1], generator=torch.Generator().manual_seed(number)).sign()
         push[0, number - 1] = sigmas * sign * (0.5 * plain.prior.log_var[0, number - 1]).exp()
-        ways = {"open loop": (z + push, None), "closed loop": (white.base + push, white.gains)}
+        ways = {"open loop": (z + push, None), "closed loop": (white.base + push, white.gains.transpose(0, 1))}
         rolled = {way: steered_rollout(task.problem.priors.motion, first, *how)[0] for way, how in ways.items()}
         bodies = {
             way: unknowns.motion_of(unknowns.rolled_from(first, r, unknown, task.problem.evidence).body, 30.0).clip(0)

@@ -4,7 +4,7 @@ The same numbers as ``rollout.rollout`` up to the epsilons, and the reference fo
 dict of small tensors per step; every part turned on its own, into the frame of the next step and back into that of the
 first state; rotations by Rodrigues' formula with the angle |v + 1e-8|; the heading by acos of a guarded cosine; the
 prior evaluated inside the loop, also when z is given. Whether the networks' weights get gradients, as they do in the
-official fits, is the caller's choice: ``model.eval().requires_grad_(False)`` or not.
+official fits, is the caller's choice: ``model.frozen()`` or not.
 
 Differs: a model's ``skip``, where it has one, is added to what the decoder says.
 
