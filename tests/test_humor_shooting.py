@@ -12,7 +12,7 @@ from motionlab import optimise
 from motionlab.errors import NotConverged, ShapeError
 from motionlab.humor import coordinates, energies, feedback_solver, priors, stages, state, unknowns
 from motionlab.humor import coordinates as loop_module
-from motionlab.humor.coordinates import Whitening, linearised, unwhiten
+from motionlab.humor.coordinates import linearised, unwhiten
 from motionlab.humor.energies import JOINTS, RGB
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.feedback_solver import Plan, minimise_from, solve
@@ -134,7 +134,7 @@ def residuals(problem, at, rolled, touching, robust, whites):
 def hessian(problem, unknown, white):
     """J^T J (N, N) of the first recording in its coordinates, nu before first, by central differences of roll-outs."""
     problem, unknown = one(problem, unknown, [0])
-    white = Whitening(*(part[:1] for part in white))
+    white = white.rows(torch.tensor([0]))
     _, middle = unwhiten(problem, unknown, white, nought(white))
     touching = energies.contact_probabilities(middle.rollout.contact_logits)
     robust = problem.evidence.weight[..., None]
@@ -148,8 +148,8 @@ def hessian(problem, unknown, white):
     sizes = white.base[0].numel(), white.first.shape[1]
     step, unit = 1e-7, torch.eye(sum(sizes), dtype=F64)
     many = unknown.map(lambda x: x.expand(len(unit), *x.shape[1:]))
-    wide = Whitening(*(part.expand(len(unit), *part.shape[1:]) for part in white))
-    rows = problem.rows(torch.zeros(len(unit), dtype=torch.long))
+    same = torch.zeros(len(unit), dtype=torch.long)
+    rows, wide = problem.rows(same), white.rows(same)
 
     def at(s):
         nu, first = (s * unit).split(sizes, 1)
