@@ -18,13 +18,15 @@ FLOORS = """
     data_synth diffusion.encoder diffusion.features humor.body_shape humor.state io
         metrics retarget viz
     splits
-    corpus diffusion.completer diffusion.model diffusion.windows humor.cvae
-    diffusion.inpainting diffusion.poses humor.energies humor.priors
+    corpus diffusion.completer diffusion.model diffusion.windows humor.priors
+    diffusion.inpainting diffusion.poses humor.energies
     bench humor.compiled humor.evidence humor.pretrained
     humor.rollout
-    humor.quality humor.unknowns
+    humor.unknowns
     humor.stages humor.start
-    humor.shooting
+    humor.gauss_newton
+    humor.coordinates
+    humor.feedback_solver
     humor.testops
     posterior
     animate footage training

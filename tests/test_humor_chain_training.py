@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from motionlab.diffusion.windows import gather
 from motionlab.errors import DataError
-from motionlab.humor.cvae import Cvae, from_weights, official_weights
+from motionlab.humor.priors import Cvae, from_weights, official_weights
 from motionlab.humor.state import (
     OFFICIAL_DELTA_ORDER,
     OFFICIAL_ORDER,

@@ -14,9 +14,8 @@ from walked import CAMERA, aside, few_steps, short_windows, table, write_camera,
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
 from motionlab.footage import fit, scene_fit, scene_report
-from motionlab.humor import body_shape, pretrained, testops
+from motionlab.humor import body_shape, feedback_solver, pretrained, testops
 from motionlab.humor.energies import RGB, RGB_LIGHT
-from motionlab.humor.shooting import feedback_solver
 from motionlab.io import bvh, gltf, smpl, video
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D, project
@@ -239,12 +238,13 @@ def test_the_floor_is_where_feet_rest_that_are_in_contact(walk):
     assert lifts[0] < -0.17 and lifts[1] - lifts[0] > 0.1
 
 
-def test_somebody_who_leaves_and_returns(tmp_path, windows, few):
+@pytest.mark.parametrize("solver", ["shooting", "rollout"])
+def test_somebody_who_leaves_and_returns(tmp_path, windows, few, solver):
     frames = table(walked.walk(26))
     frames[6:20, ..., 2] = 0
     folder = write_json(tmp_path / "keypoints", frames)
-    found = fit.run_clip(folder, tmp_path / "out", fps=30, quick=True)
-    assert found["people"][0]["spans_s"] == [[0.0, 7 / 30], [19 / 30, 26 / 30]]
+    found = fit.run_clip(folder, tmp_path / "out", fps=30, quick=True, solver=solver)
+    assert found["windows"] == 4 and found["people"][0]["spans_s"] == [[0.0, 7 / 30], [19 / 30, 26 / 30]]
     assert bvh.load(tmp_path / "out" / "motion.bvh").frames == 26
     assert found["people"][0]["pixels"]["by_time"][10] is None
 

@@ -73,7 +73,7 @@ def test_stage_3_begins_with_the_feet_on_the_floor():
     pixels = seen.view.pixels(landmarks_of(motion), unknown.camera)
     for guesses in (True, False):
         track = testops._Track(replace(testops.Schedule.quick(), guesses=guesses), False, None)
-        raised, _, shared, _ = track._begun(problem, unknown, motion, unknown.latent, seen.confidence_per_joint)
+        raised, _, shared, *_ = track._begun(problem, unknown, motion, unknown.latent, seen.confidence_per_joint)
         off = float(start.above_floor(raised.positions))
         assert abs(off) < 1e-4 if guesses else off > 0.1
         assert (seen.view.pixels(landmarks_of(raised), shared["camera"]) - pixels).abs().max() < 0.05

@@ -10,7 +10,7 @@ from motionlab import checkpoint, corpus
 from motionlab.contact import with_contacts
 from motionlab.errors import DataError
 from motionlab.humor import pretrained
-from motionlab.humor.cvae import Cvae, official_weights
+from motionlab.humor.priors import Cvae, official_weights
 from motionlab.training import model_card
 
 

@@ -175,7 +175,7 @@ def _compile_loops() -> None:
     """Roll out one step there and back, as a first fit would, so that no fit waits for the compiler."""
     import torch
 
-    from motionlab.humor.cvae import Cvae
+    from motionlab.humor.priors import Cvae
     from motionlab.humor.rollout import steered_rollout
     from motionlab.humor.state import STATE
 

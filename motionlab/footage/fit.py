@@ -90,7 +90,7 @@ def run_clip(
     """Fits the people of one clip and writes a folder: motions and report together, then the film. Returns what
     ``fit.json`` says.
 
-    Ctrl-C keeps the best so far of a clip of up to 6 s (with "rollout" of any length), and says so; of a longer one the
+    Ctrl-C keeps the best so far of a clip of up to 6 s, and says so; of a longer one the
     windows that are done are kept in the folder, and the same call goes on from there. While the film is drawn, it
     costs the film alone, and so does whatever else keeps it from being drawn; the windows of a long clip stay until
     there is one.
@@ -108,7 +108,7 @@ def run_clip(
             report how far off hidden joints may be.
         prior, pose_prior, initial, pelvis: see ``humor.pretrained.load_priors``.
         progress: show bars, or "lines": a line where a stage begins, on stderr.
-        solver: "shooting", or "rollout" for the original's schedule, which takes a clip of any length as one piece.
+        solver: "shooting", or "rollout" for the original's schedule.
 
     Raises:
         DataError: something cannot be read, used or written, or files that no fit has written are in the way, which is

@@ -33,7 +33,7 @@ from motionlab import rotation
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.humor import body_shape, state
-from motionlab.humor.cvae import Cvae, Gaussian, kl
+from motionlab.humor.priors import Cvae, Gaussian, kl
 from motionlab.humor.state import DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, globalise, heading, localise, unpack
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, fk

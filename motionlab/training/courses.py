@@ -32,13 +32,13 @@ from motionlab.diffusion.encoder import EncoderRecipe
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError
-from motionlab.humor.cvae import Cvae, from_weights, official_weights
-from motionlab.humor.quality import quality_row
+from motionlab.humor.priors import Cvae, from_weights, official_weights
 from motionlab.training import recipes
 from motionlab.training.chain_training import ChainRecipe, ChainTraining
 from motionlab.training.completer_training import CompleterTraining
 from motionlab.training.denoiser_training import DenoiserTraining
 from motionlab.training.model_card import person_states
+from motionlab.training.quality import quality_row
 from motionlab.training.training_loop import TrainingRun, fast_halves
 
 _EACH = 12  # windows of each validation person

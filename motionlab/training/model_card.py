@@ -16,12 +16,13 @@ from motionlab import checkpoint, corpus, splits
 from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
 from motionlab.files import write_whole
-from motionlab.humor import pretrained, quality
-from motionlab.humor.cvae import Cvae
+from motionlab.humor import pretrained
+from motionlab.humor.priors import Cvae
 from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.state import unpack
 from motionlab.metrics.intervals import interval
 from motionlab.motion import FPS, Motion
+from motionlab.training.quality import quality_row
 
 PRIORS = "humor_*", "transition"  # patterns of their names
 #: Where the measurements stand in a recipe.
@@ -49,7 +50,7 @@ def judge_prior(name: str, folder: Path | str) -> dict[str, dict[str, float]]:
     Every person counts alike, with at most 24 windows of two seconds. The result also goes into the prior's recipe.
 
     Returns:
-        by measure (``quality.quality_row``, the share of walkers who still walk after two seconds), on people's own
+        by measure (``quality_row``, the share of walkers who still walk after two seconds), on people's own
         bones and on the standard body: the mean over people, the ends of its 95 % interval by bootstrap over people,
         and how many there are.
     Raises:
@@ -88,8 +89,7 @@ def person_rows(
 ) -> dict[str, dict[str, float]]:
     """Computes the measures of ``judge_prior`` of each person: means over states (W, T, 339), contacts (W, T, 9)."""
     return {
-        who: quality.quality_row(model, *windows, seed) | _walkers(model, windows[0], seed)
-        for who, windows in people.items()
+        who: quality_row(model, *windows, seed) | _walkers(model, windows[0], seed) for who, windows in people.items()
     }
 
 

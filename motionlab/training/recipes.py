@@ -23,8 +23,7 @@ from motionlab.diffusion import encoder
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.humor import priors, state
-from motionlab.humor.cvae import Gaussian, kl
-from motionlab.humor.priors import InitGmm, PosePrior
+from motionlab.humor.priors import Gaussian, InitGmm, PosePrior, kl
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training.chain_training import random_body

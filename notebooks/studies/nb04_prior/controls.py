@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae, official_weights
+from motionlab.humor.priors import Cvae, official_weights
 from studies.nb04_prior import parity as golden_parity
 from studies.nb04_prior.parity import Golden, Row, difference
 

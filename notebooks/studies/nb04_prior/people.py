@@ -14,7 +14,7 @@ from data_synth import scenes
 from motionlab import corpus, splits
 from motionlab.corpus import Take
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.priors import Cvae
 from motionlab.metrics.gait import SEATED, tilt_and_bend
 from motionlab.motion import Motion
 from motionlab.training import model_card

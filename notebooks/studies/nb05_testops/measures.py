@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.priors import Cvae
 from motionlab.humor.rollout import infer, rollout
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion

@@ -15,8 +15,8 @@ from data_synth import scenes
 from data_synth.scenes import Scene
 from motionlab.contact import with_contacts
 from motionlab.humor.energies import RGB, RGB_LIGHT
+from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import Priors
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Fitted, Schedule, fit
 from motionlab.metrics.intervals import interval
 from motionlab.motion import Motion

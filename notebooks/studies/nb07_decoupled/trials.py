@@ -91,7 +91,7 @@ def solved(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> dic
     """What a whole fit by shooting finds, as decoupled unknowns: the states of its roll-out, its z, its shape."""
     how = {"schedule": schedule, "solver": "shooting", "cameras": scene.cameras}
     fitted = testops.fit(part(scene.observation, slice(None), slice(frames)), priors, **how)
-    first, z = fitted.first[:, 0], fitted.z[:, 0]
+    first, z = fitted.first, fitted.z
     with torch.no_grad():
         states = torch.cat((first[:, None], rollout(priors.motion, first, z, with_prior=False).states), 1)
     return {"x": to_persistent(states), "z": z, "betas": fitted.betas}
@@ -101,7 +101,7 @@ def solved(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> dic
 def motions(known: Case, unknown: Unknown) -> dict[str, Motion]:
     """ "x": the persistent states as they are. "roll-out": the exact roll-out of x_0 and z."""
     with torch.no_grad():
-        _, kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
+        kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
         _, rolled = rolled_out(known.problem, unknown)
     return {name: motion_of(found.body, known.truth.fps) for name, found in (("x", kept), ("roll-out", rolled))}
 

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab.humor import unknowns
+from motionlab.humor import coordinates, unknowns
 from motionlab.humor.rollout import steered_rollout
-from motionlab.humor.shooting import coordinates
 from motionlab.humor.unknowns import Unknowns
 from motionlab.motion import Motion
 from studies.nb08_fast.trials import CM, Task
@@ -27,12 +26,12 @@ def nudged(task: Task, unknown: Unknowns, number: int, sigmas: float) -> Nudged:
     out with the other latents held (open loop) or answering (closed loop)."""
     white = coordinates.linearised(task.problem, unknown, stride=4)
     with torch.no_grad():
-        first, z = unknowns.first_state(unknown, task.problem.priors), unknown.z[:, 0]
+        first, z = unknowns.first_state(unknown, task.problem.priors), unknown.z
         plain, _ = steered_rollout(task.problem.priors.motion, first, z)
         push = torch.zeros_like(z)
         sign = torch.randn(z.shape[-1], generator=torch.Generator().manual_seed(number)).sign()
         push[0, number - 1] = sigmas * sign * (0.5 * plain.prior.log_var[0, number - 1]).exp()
-        ways = {"open loop": (z + push, None), "closed loop": (white.base + push, white.gains)}
+        ways = {"open loop": (z + push, None), "closed loop": (white.base + push, white.gains.transpose(0, 1))}
         rolled = {way: steered_rollout(task.problem.priors.motion, first, *how)[0] for way, how in ways.items()}
         bodies = {
             way: unknowns.motion_of(unknowns.rolled_from(first, r, unknown, task.problem.evidence).body, 30.0).clip(0)
