@@ -65,7 +65,7 @@ def test_a_clip_that_kills_every_process_is_found_out(tmp_path):
     (tmp_path / "poison").touch()
     found = run(tmp_path, 19)
     assert list(found.failed) == [17] and len(found.results) == 18
-    assert "killed 2 times" in found.failed[17].message
+    assert "killed twice" in found.failed[17].message
 
 
 def test_what_is_finished_is_skipped_and_what_fails_is_named_while_others_go_on(tmp_path, serial, capsys):

@@ -117,7 +117,7 @@ def generate(options: argparse.Namespace) -> int:
     if options.film:
         check_film(options.film, options.count)
     start = read_motion(options.start, options) if options.start else None
-    suffix = f".{options.format}" if options.format else options.start.suffix.lower() if options.start else ".bvh"
+    suffix = options.start.suffix.lower() if options.start else ""
     suffix = suffix if suffix in WRITTEN else ".bvh"
     how = {"start": start, "plant": options.plant, "progress": is_watched()}
     made, said = {}, []

@@ -4,7 +4,7 @@ kills its process is named and the others go on, and what is done stays done."""
 import argparse
 import sys
 import traceback
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
@@ -19,7 +19,6 @@ from motionlab.errors import DataError, MissingData, NotConverged, ShapeError
 from motionlab.parallel import run_jobs, threads_for
 
 Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (one or two paths), and where it goes
-LIVES = 2  # how often a clip may lose its process while it is alone in it, until it is the one to blame
 PATIENCE = 60.0  # seconds that a cluster has to answer, and to have a worker
 
 
@@ -54,8 +53,8 @@ def run_many(
 ) -> Batch:  # fmt: skip
     """Runs a function on every job that is not finished yet, each on one thread; shows progress.
 
-    A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
-    alone in it; all others are done. Nothing is shared between jobs. A single job runs in this process, where Ctrl-C
+    A job that raises is reported when it does and at the end, and so is one whose process is killed, and again while
+    it is alone; all others are done. Nothing is shared between jobs. A single job runs in this process, where Ctrl-C
     means to a fit that it should end at its best; of several, Ctrl-C ends those that have begun, without a result. A
     cluster drops what has not begun; what its workers have begun they finish, unseen from here.
 
@@ -137,29 +136,25 @@ def _attempt(function: Callable[[Any], Any], job: Any) -> Any:
 
 
 def _on_processes(work: dict[int, Callable], count: int, done: Callable[[int, Any], None], apart: bool) -> None:
-    """Do all of it. Where a process is killed, its pool is lost: those that had begun go on in one process, where the
-    first without a result is the one to blame."""
-    left, killed = dict(work), Counter()
+    """Do all of it. Where a process is killed, its pool is lost: those that had begun go on one by one, where whoever
+    loses its process again is the one to blame."""
+    left = dict(work)
+
+    def ended(k: int, found: Any) -> None:
+        del left[k]
+        done(k, found)
 
     def together(keys: list[int], workers: int) -> bool:
-        def ended(i: int, found: Any) -> None:
-            del left[keys[i]]
-            done(keys[i], found)
-
         try:
-            run_jobs([work[k] for k in keys], workers, ended, apart)
+            run_jobs([work[k] for k in keys], workers, lambda i, found: ended(keys[i], found), apart)
         except BrokenProcessPool:
             return False
         return True
 
     while left and not together(list(left), min(count, len(left))):
-        begun = list(left)[:count]  # they begin in their order
-        while (suspects := [k for k in begun if k in left]) and not together(suspects, 1):
-            first = next(k for k in suspects if k in left)
-            killed[first] += 1
-            if killed[first] == LIVES:
-                del left[first]
-                done(first, Failed(f"its process was killed {LIVES} times: is there enough memory?"))
+        for k in list(left)[:count]:  # they begin in their order
+            if not together([k], 1):
+                ended(k, Failed("its process was killed twice: is there enough memory?"))
 
 
 def _on_cluster(work: dict[int, Callable[[], Any]], address: str, done: Callable[[int, Any], None]) -> None:

@@ -163,8 +163,8 @@ def convert(options: argparse.Namespace) -> int:
     target, suffix = options.target, options.target.suffix.lower()
     check_target(options.source, target)
     body = suffix == ".glb" and not options.bones
-    if (options.body or options.bones) and suffix != ".glb":
-        raise DataError("only a GLB holds a body", path=target, remedy="leave out --body and --bones")
+    if options.bones and suffix != ".glb":
+        raise DataError("only a GLB holds a body", path=target, remedy="leave out --bones")
     motion = read_motion(options.source, options)
     told = len(motion.notes)
     if suffix == ".npz":

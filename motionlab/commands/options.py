@@ -65,7 +65,6 @@ def parser() -> argparse.ArgumentParser:
     command, option = add("prepare", text, "recordings/ --out prepared/", "commands.recordings:prepare")
     option("folder", help="of recordings, one sub-folder per source")
     option("--sources", nargs="+", metavar="NAME", help="only these sub-folders")
-    option("--strict", action="store_true", help="stop at a recording that cannot be used")
     option("--out", type=Path, help="where it is kept (default: the user's cache)")
     _add_reading(command)
 
@@ -119,9 +118,7 @@ def _add_motions(add: Callable) -> None:
     option("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")
     option("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
     option("--features", action="store_true", help="a .npy of HumanML3D's 263 numbers, not of 22 joints")
-    flesh = command.add_mutually_exclusive_group()
-    flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
-    flesh.add_argument("--bones", "--no-body", action="store_true", help="a .glb of the file's own joints, no body")
+    option("--bones", action="store_true", help="a .glb of the file's own joints, no body on the 22")
 
 
 def _add_animator(add: Callable) -> None:
@@ -174,8 +171,7 @@ def _add_animator(add: Callable) -> None:
     option("--seconds", type=float, default=4.0, help="how long each is, or goes on (default 4)")
     option("--count", type=int, default=1, help="how many, each from its own seed (default 1)")
     option("--start", type=Path, metavar="IN", help="a motion to go on from, which stays as it is")
-    option("--format", choices=[s[1:] for s in WRITTEN], help="default: that of --start, or bvh")
-    option("--out", type=Path, required=True, metavar="FOLDER")
+    option("--out", type=Path, required=True, metavar="FOLDER", help="in the format of --start, or as .bvh")
     option("--film", type=Path, metavar="FILE.mp4", help="also write a film: what was made, side by side")
     _add_usual(command, "of the first (default 0)")
 

@@ -235,7 +235,6 @@ def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500, sc
     Raises:
         DataError: ``out`` is of another kind of model.
     """
-    _give_way()
     best, there, behind, kept = math.inf, None, 0, _kept(course.name, out)
     if out.with_suffix(".safetensors").exists():
         there, behind = course.load(Path(out)), checkpoint.read_recipe(out).get("step", 0)
@@ -271,14 +270,6 @@ def _kept(name: str, out: Path) -> Path:
     folder = corpus.cache_folder().with_name("training")
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f"{name}-{where}.partial.pt"
-
-
-def _give_way() -> None:
-    """The lowest priority; of a session that it leads (``setsid``) also against other sessions."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(19)
-        if os.getsid(0) == os.getpid():
-            Path("/proc/self/autogroup").write_text("19", encoding="ascii")  # of Linux, whose nice ends at a session
 
 
 def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
@@ -325,6 +316,8 @@ def run(options: argparse.Namespace) -> int:
     if kind is None:
         recipes.make_encoder(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
         return 0
+    with contextlib.suppress(OSError, AttributeError):  # some systems know no priority
+        os.nice(19)
     try:
         course, every = kind(name, recipe, options.data), min(2500, -(-recipe.steps // 8))
         go_on(course, out or checkpoint.SHIPPED / name, more=options.more, every=every)
