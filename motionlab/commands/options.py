@@ -5,12 +5,9 @@ import argparse
 import contextlib
 import math
 import os
-import re
-from collections.abc import Callable, Sequence
-from difflib import get_close_matches
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 WRITTEN = (".bvh", ".npz", ".glb", ".npy")
 READ = f"{' '.join(WRITTEN)} .gltf .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM, PHALP"
@@ -23,30 +20,13 @@ _DRAW = "draw one of the motions that are possible, by the network; none: its on
 _CUT = {"type": float, "nargs": 2, "metavar": ("FROM", "TO")}
 
 
-class _Parser(argparse.ArgumentParser):
-    """Asks for the nearest word where one is misspelt; what a command does not know is answered by that command."""
-
-    def error(self, message: str) -> NoReturn:
-        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
-            near = get_close_matches(found[1], re.findall(r"[\w-]+", found[2]), 1)
-            message += f"; did you mean {near[0]}?" if near else ""
-        super().error(message)
-
-    def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:
-        options, unknown = self.parse_known_args(words)
-        if unknown:
-            self.commands.choices[options.command].error(f"unrecognized arguments: {' '.join(unknown)}")
-        return options
-
-
 def parser() -> argparse.ArgumentParser:
     """Returns what parses a command line."""
-    whole = _Parser(prog="motionlab", formatter_class=argparse.RawDescriptionHelpFormatter)
+    whole = argparse.ArgumentParser(prog="motionlab", formatter_class=argparse.RawDescriptionHelpFormatter)
     whole.description = "Draws, converts, mends and makes human motion, and finds it in videos."
     whole.epilog = "example:\n  motionlab show walk.bvh --out walk.mp4\n\n"
     whole.epilog += "motionlab COMMAND --help says what a command takes, with an example of its own."
-    whole.commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND", title="commands")
-    add = partial(_add, whole.commands)
+    add = partial(_add, whole.add_subparsers(dest="command", required=True, metavar="COMMAND", title="commands"))
     _add_motions(add)
     _add_animator(add)
     _add_fit(add)
@@ -68,8 +48,7 @@ def parser() -> argparse.ArgumentParser:
     option("--out", type=Path, help="where it is kept (default: the user's cache)")
     _add_reading(command)
 
-    _, option = add("models", "write the table of the models that ship", "", "training.model_card:run")
-    option("--data", help="recordings: measure the transition priors on people nobody trained on, first")
+    add("models", "write the table of the models that ship", "", "training.model_card:run")
 
     text = "write the completer as an ONNX file that fills gaps, for editors without Python"
     _, option = add("onnx", text, "--out inbetween.onnx", "commands.onnx_export:run")
@@ -232,12 +211,12 @@ def _add_usual(command: argparse.ArgumentParser, seed: str, plants: bool = True)
 def _add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
     """Adds what a motion file does not say of itself, or says wrongly. rate: names of the frame rate's option."""
     text = "what a file does not say, or says wrongly (default: worked out, and noted)"
-    option = command.add_argument_group(text).add_argument
+    group = command.add_argument_group(text)
+    option, axis = group.add_argument, group.add_mutually_exclusive_group().add_argument
     option("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
     text = "the file's axis that points up: y, z, ... (--up=-y)"
-    option("--up", type=lambda axis: axis.lower().removeprefix("+"), choices=UP, metavar="AXIS", help=text)
-    text = "instead: the file's axes that become x, y and z, up; as --axes=x-zy"
-    option("--axes", type=_axes, metavar="XYZ", help=text)
+    axis("--up", type=lambda axis: axis.lower().removeprefix("+"), choices=UP, metavar="AXIS", help=text)
+    axis("--axes", metavar="XYZ", help="instead: the file's axes that become x, y and z, up; as --axes=x-zy")
     option(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
     text = "of bones that change their length: refuse, or keep the mean"
     option("--translations", choices=("strict", "mean"), help=text)
@@ -303,10 +282,3 @@ def _metres(text: str) -> float | None:
     metres = unit_named(text) or float(text)
     return metres if 0 < metres < math.inf else None
 
-
-@checked('a right-handed choice such as "xyz" or "x-zy"')
-def _axes(text: str) -> str:
-    from motionlab.io.judging import axes_to_matrix
-
-    axes_to_matrix(text)
-    return text

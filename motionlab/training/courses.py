@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -34,11 +35,11 @@ from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError
 from motionlab.humor.cvae import Cvae, from_weights, official_weights
 from motionlab.humor.quality import quality_row
+from motionlab.motion import Motion
 from motionlab.training import recipes
 from motionlab.training.chain_training import ChainRecipe, ChainTraining
 from motionlab.training.completer_training import CompleterTraining
 from motionlab.training.denoiser_training import DenoiserTraining
-from motionlab.training.model_card import person_states
 from motionlab.training.training_loop import TrainingRun, fast_halves
 
 _EACH = 12  # windows of each validation person
@@ -73,6 +74,16 @@ def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) ->
         people=([t.person for t in takes] + [splits.SYNTHETIC] * len(made)) * times,
     )  # fmt: skip
     return windows, found.part("val")
+
+
+def person_states(takes: Sequence[Take], most: int) -> dict[str, tuple[Tensor, Tensor]]:
+    """Returns what a prior is judged on: states (W, 61, 339), their velocities of the past, and contacts (W, 61, 9) of
+    each person, at most so many windows."""
+    people: dict[str, list[Motion]] = {}
+    for take in takes:
+        people.setdefault(take.person, []).append(take.motion)
+    found = {who: splits.state_windows(motions, most=most) for who, motions in people.items()}
+    return {who: windows for who, windows in found.items() if len(windows[0])}
 
 
 class Course:

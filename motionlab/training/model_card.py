@@ -1,27 +1,12 @@
-"""How good the transition priors are on people nobody trained on, and the table of all models that ship.
-
-python -m motionlab models --data FOLDER    # measures on ``test`` people, into the recipes; minutes
-python -m motionlab models                  # writes checkpoints/README.md from the recipes
-"""
+"""``python -m motionlab models`` writes checkpoints/README.md: the models that ship, and what their recipes say of them
+on people nobody trained on. Notebooks 04, 11 and 12 measure that anew."""
 
 import argparse
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
-import torch
-
-from motionlab import checkpoint, corpus, splits
-from motionlab.diffusion.windows import on_standard
-from motionlab.errors import DataError
+from motionlab import checkpoint
 from motionlab.files import write_whole
-from motionlab.humor import pretrained, quality
-from motionlab.humor.cvae import Cvae
-from motionlab.humor.rollout import sample_rollout
-from motionlab.humor.state import unpack
-from motionlab.metrics.intervals import interval
-from motionlab.motion import FPS, Motion
 
 PRIORS = "humor_*", "transition"  # patterns of their names
 #: Where the measurements stand in a recipe.
@@ -35,81 +20,10 @@ _SHOWN = (
     "effective rank", "samples' bones", "samples' acceleration", "data's acceleration", "samples' slide",
     "data's slide", "walkers who go on", "data's walkers who go on",
 )  # fmt: skip
-_MOST = 24  # windows of two seconds per person
-_WALKING = 0.5  # m/s: who is faster over a whole window walks
 _CREDIT = (
     "Some of these weights learnt from the CMU Graphics Lab Motion Capture Database: the data used in this project was "
     "obtained from mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217."
 )
-
-
-def judge_prior(name: str, folder: Path | str) -> dict[str, dict[str, float]]:
-    """Computes what a transition prior that ships does on the people of ``test``.
-
-    Every person counts alike, with at most 24 windows of two seconds. The result also goes into the prior's recipe.
-
-    Returns:
-        by measure (``quality.quality_row``, the share of walkers who still walk after two seconds), on people's own
-        bones and on the standard body: the mean over people, the ends of its 95 % interval by bootstrap over people,
-        and how many there are.
-    Raises:
-        DataError: nobody of ``test`` is in the folder.
-    """
-    model = pretrained.load_motion_prior(name)
-    takes = corpus.assemble(folder, splits.real_sources(folder)).part("test")
-    found = {}
-    for body in BODIES:
-        some = [replace(t, motion=on_standard(t.motion)) for t in takes] if body else takes
-        rows = list(person_rows(model, person_states(some)).values())
-        if not rows:
-            raise DataError("nobody of ``test`` is there", path=folder, remedy="unpack cmu_library into it")
-        for measure in rows[0]:
-            values = torch.tensor([row[measure] for row in rows])
-            values = values[values.isfinite()]
-            mean, low, high = interval(values, "mean", torch.Generator().manual_seed(0))
-            found[body + measure] = {"mean": mean, "low": low, "high": high, "people": len(values)}
-    path = checkpoint.SHIPPED / f"{name}.json"
-    write_whole(path, json.dumps(checkpoint.read_recipe(path) | {REPORT: found}, indent=1) + "\n")
-    return found
-
-
-def person_states(takes: Sequence[corpus.Take], most: int = _MOST) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-    """Returns what a prior is judged on: states (W, 61, 339), their velocities of the past, and contacts (W, 61, 9) of
-    each person."""
-    people: dict[str, list[Motion]] = {}
-    for take in takes:
-        people.setdefault(take.person, []).append(take.motion)
-    found = {who: splits.state_windows(motions, most=most) for who, motions in people.items()}
-    return {who: windows for who, windows in found.items() if len(windows[0])}
-
-
-def person_rows(
-    model: Cvae, people: Mapping[str, tuple[torch.Tensor, torch.Tensor]], seed: int = 0
-) -> dict[str, dict[str, float]]:
-    """Computes the measures of ``judge_prior`` of each person: means over states (W, T, 339), contacts (W, T, 9)."""
-    return {
-        who: quality.quality_row(model, *windows, seed) | _walkers(model, windows[0], seed)
-        for who, windows in people.items()
-    }
-
-
-@torch.no_grad()
-def _walkers(model: Cvae, states: torch.Tensor, seed: int) -> dict[str, float]:
-    """Of windows in which a person walks, the share whose samples still do in the last half second, and who do so."""
-
-    def over_floor(states: torch.Tensor) -> torch.Tensor:  # (W, T - 1) of the pelvis, m/s
-        return unpack(states)["joints"][:, :, 0, :2].diff(dim=1).norm(dim=-1) * FPS
-
-    speed = over_floor(states)
-    walking = speed.mean(1) > _WALKING
-    names = "walkers who go on", "data's walkers who go on"
-    if not walking.any():
-        return dict.fromkeys(names, float("nan"))
-    first, generator = states[walking, 0], torch.Generator().manual_seed(seed)
-    made = sample_rollout(model, first, states.shape[1] - 1, generator=generator).states
-    least = 0.5 * speed[walking].mean(1)
-    still = (over_floor(made)[:, -15:].mean(1) > least, speed[walking, -15:].mean(1) > least)
-    return {name: float(each.float().mean()) for name, each in zip(names, still, strict=True)}
 
 
 def _models_table() -> str:
@@ -183,9 +97,6 @@ def write_readme() -> Path:
 
 
 def run(options: argparse.Namespace) -> int:
-    """``models``: writes the table; with recordings, measures the transition priors first."""
-    for kind in PRIORS if options.data else ():
-        for path in sorted(checkpoint.SHIPPED.glob(f"{kind}.json")):
-            judge_prior(path.stem, options.data)
+    """``models``: writes the table."""
     print(write_readme())
     return 0
