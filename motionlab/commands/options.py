@@ -281,4 +281,3 @@ def _metres(text: str) -> float | None:
 
     metres = unit_named(text) or float(text)
     return metres if 0 < metres < math.inf else None
-

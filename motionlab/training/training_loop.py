@@ -8,8 +8,7 @@ Source: Polyak and Juditsky 1992, averaged weights, here with a moving average t
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
@@ -192,13 +191,11 @@ class TrainingRun(ABC):
         Raises:
             DataError: the file is missing, damaged, or was trained on other data.
         """
-        with _reading(path):
+        try:
             found = torch.load(path, map_location="cpu", weights_only=True)
-            recipe = cls.reads(found["recipe"])
-        if found.get("windows") != data.digest:
-            raise DataError("trained on other windows", path=path, remedy=AFRESH)
-        run = cls(recipe, data)
-        with _reading(path):
+            if found["windows"] != data.digest:
+                raise DataError("trained on other windows", path=path, remedy=AFRESH)
+            run = cls(cls.reads(found["recipe"]), data)
             run.model.load_state_dict(found["model"])
             for name, value in found["average"].items():
                 run.average[name].copy_(value)
@@ -206,15 +203,10 @@ class TrainingRun(ABC):
             run.generator.set_state(found["generator"])
             run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
             run.skipped, run.in_a_row = found["skipped"]
-            run.earlier = found.get("earlier", 0)
+            run.earlier = found["earlier"]
             run.extra = {name: found[name] for name in run.extra}
+        except DataError:
+            raise
+        except Exception as error:  # whatever it is, the file is at fault
+            raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error
         return run
-
-
-@contextmanager
-def _reading(path: Path | str) -> Iterator[None]:
-    """Whatever goes wrong inside is a DataError that names the file."""
-    try:
-        yield
-    except Exception as error:
-        raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error
