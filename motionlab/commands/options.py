@@ -57,8 +57,8 @@ def parser() -> argparse.ArgumentParser:
 
     text = "train a model, and keep its recipe with it"
     _, option = add("train", text, "transition --out prior", "training.courses:run")
-    text = "pose and first states; what generated motion is judged in; what completes motions, a denoiser and a "
-    option("model", choices=("small", "features", *COURSES), help=f"{text}transition prior, trained until Ctrl-C")
+    text = "pose and first states; what completes motions, a denoiser and a transition prior, trained until Ctrl-C"
+    option("model", choices=("small", *COURSES), help=text)
     option("--steps", type=_count, help="optimiser steps, the whole schedule (default: the recipe's)")
     option("--seed", type=int, default=0, help="default: 0")
     option("--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion")

@@ -1,5 +1,5 @@
-"""``motionlab train NAME``: trains for days, at the lowest priority, until somebody stops it; and ``train small`` and
-``features`` (``recipes``), which end.
+"""``motionlab train NAME``: trains for days, at the lowest priority, until somebody stops it; and ``train small``
+(``recipes``), which ends.
 
 ``--more`` goes on from the state that is kept in the cache, or else from the weights that ship. Now and then the
 averaged weights are judged on the validation people; only better ones are written. After a whole schedule the next one
@@ -29,7 +29,6 @@ from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
-from motionlab.diffusion.encoder import EncoderRecipe
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError
@@ -322,11 +321,8 @@ def run(options: argparse.Namespace) -> int:
         recipes.make_pose_prior(data, out, seed=options.seed, steps=options.steps or recipes.STEPS)
         recipes.make_init_gmm(data, out, seed=options.seed)
         return 0
-    kind, recipe = COURSES.get(name, (None, EncoderRecipe()))
+    kind, recipe = COURSES[name]
     recipe = replace(recipe, seed=options.seed, steps=options.steps or recipe.steps)
-    if kind is None:
-        recipes.make_encoder(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
-        return 0
     with contextlib.suppress(OSError, AttributeError):  # some systems know no priority
         os.nice(19)
     try:

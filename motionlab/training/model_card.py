@@ -85,7 +85,8 @@ def write_readme() -> Path:
     """Writes ``checkpoints/README.md``: the models, and how they do; returns its path."""
     path = checkpoint.SHIPPED / "README.md"
     text = "# Models\n\nMade by `python -m motionlab models` from the recipes beside the weights.\n\n"
-    text += f"{_models_table()}\n\n`train humor` and `--preset` are gone: today `train transition`, `train small`.\n\n"
+    text += f"{_models_table()}\n\n`train humor`, `train features` and `--preset` are gone: today `train transition`, "
+    text += "`make train`, `train small`.\n\n"
     text += "## Transition priors on people nobody trained on\n\nMean over people and its 95 % interval, by bootstrap "
     text += f"over people.\n\n{_quality_table(PRIORS, _SHOWN)}\n\n"
     if (completer := checkpoint.SHIPPED / "completer.json").exists():
