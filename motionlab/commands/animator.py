@@ -110,8 +110,6 @@ MAKERS = {
 
 def generate(options: argparse.Namespace) -> int:
     """Makes new motions."""
-    if options.count < 1:
-        raise DataError(f"{options.count} motions", place="--count", remedy="give a number above 0")
     with writing(options.out):
         options.out.mkdir(parents=True, exist_ok=True)
     if options.film:

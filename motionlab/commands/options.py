@@ -148,7 +148,7 @@ def _add_animator(add: Callable) -> None:
     text, example = "make new motions, or what may follow on one", "--seconds 4 --count 2 --out made/"
     command, option = add("generate", text, example, "commands.animator:generate")
     option("--seconds", type=float, default=4.0, help="how long each is, or goes on (default 4)")
-    option("--count", type=int, default=1, help="how many, each from its own seed (default 1)")
+    option("--count", type=_count, default=1, help="how many, each from its own seed (default 1)")
     option("--start", type=Path, metavar="IN", help="a motion to go on from, which stays as it is")
     option("--out", type=Path, required=True, metavar="FOLDER", help="in the format of --start, or as .bvh")
     option("--film", type=Path, metavar="FILE.mp4", help="also write a film: what was made, side by side")
