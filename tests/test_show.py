@@ -39,7 +39,8 @@ def filmed(monkeypatch):
 
 # ------------------------------------------------------------------------------------------------ the command
 def subcommands() -> dict[str, argparse.ArgumentParser]:
-    return parser().commands.choices
+    (action,) = (each for each in parser()._actions if each.dest == "command")
+    return action.choices
 
 
 def example(parser: argparse.ArgumentParser) -> list[str]:

@@ -98,8 +98,8 @@ def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Anima
     if not (options.loop or options.in_place):
         raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
     motion = cut(motion, options.source, options.cut)
-    blend = looping.BLEND if options.blend is None else options.blend
-    return looping.cycled(motion, loop=options.loop, in_place=options.in_place, blend=blend, plant=options.plant)
+    how = {"loop": options.loop, "in_place": options.in_place, "blend": options.blend, "plant": options.plant}
+    return looping.cycled(motion, **how)
 
 
 MAKERS = {

@@ -138,7 +138,7 @@ def _add_animator(add: Callable) -> None:
     option("--loop", action="store_true", help="its last frame is its first again; best cut to one round")
     option("--in-place", action="store_true", help="the root stays above one point of the floor")
     option("--cut", **_CUT, help="only these seconds")
-    option("--blend", type=float, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
+    option("--blend", type=float, default=0.25, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
 
     text, example = "put the movement of a motion on the rig of another", "walk.bvh --onto rig.bvh --out mine.bvh"
     _, option = edit("retarget", text, example, plants=False)
