@@ -241,11 +241,10 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
         sampler, _, values = found.tracks.get((node, what), ({}, None, np.zeros(0)))
         output = sampler.get("output", -1)
         accessor = content["accessors"][output]
-        if outputs.count(output) != 1 or values.shape[:1] + values.shape[2:] != (loaded.frames,):
+        every = values.shape[:1] + values.shape[2:] == (loaded.frames,)
+        if not every or outputs.count(output) != 1 or accessor["componentType"] != 5126:
             name = loaded.skeleton.names[nodes.index(node)]
-            raise at.error(f"{name} has no {what} of its own in every frame", place=f"node {node}")
-        if accessor["componentType"] != 5126:
-            raise at.error(f"its {what} are no floats", place=f"node {node}")
+            raise at.error(f"{name} has no {what} of its own in every frame, in floats", place=f"node {node}")
         view = content["bufferViews"][accessor["bufferView"]]
         begin = start + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         old, width = values.copy(), values.shape[1]
