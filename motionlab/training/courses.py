@@ -323,10 +323,10 @@ def run(options: argparse.Namespace) -> int:
         return 0
     kind, recipe = COURSES[name]
     recipe = replace(recipe, seed=options.seed, steps=options.steps or recipe.steps)
-    with contextlib.suppress(OSError, AttributeError):  # some systems know no priority
-        os.nice(19)
     try:
         course, every = kind(name, recipe, options.data), min(2500, -(-recipe.steps // 8))
+        with contextlib.suppress(OSError, AttributeError):  # some systems know no priority
+            os.nice(19)
         go_on(course, out or checkpoint.SHIPPED / name, more=options.more, every=every)
     except KeyboardInterrupt:
         print("stopped; the same command with --more goes on")
