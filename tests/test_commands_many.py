@@ -171,7 +171,7 @@ def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(
 
     def no_run(function, clips, *, finished, **how):
         found.append([finished(clip) for clip in clips])
-        return batch.Batch(())
+        return batch.Batch({}, (), {})
 
     monkeypatch.setattr(batch, "run_many", no_run)
     assert fit_each(two_at_once) == fit_each(two_at_once, "--person", "all") == 0
@@ -235,7 +235,7 @@ def test_options_of_many_clips_that_cannot_be_used(footage, monkeypatch, capsys,
 
 def test_paths_of_options_are_the_same_where_workers_stand(footage, monkeypatch):
     asked = []
-    monkeypatch.setattr(batch, "run_many", lambda function, *_, **__: asked.append(function) or batch.Batch(()))
+    monkeypatch.setattr(batch, "run_many", lambda function, *_, **__: asked.append(function) or batch.Batch({}, (), {}))
     monkeypatch.chdir(footage)
     options = {"--camera": "camera", "--prior": "prior", "--pose-prior": "pose_prior", "--initial": "initial"}
     fit_each(footage, *(word for option in options for word in (option, "a.npz")))

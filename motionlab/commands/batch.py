@@ -7,11 +7,10 @@ import traceback
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
@@ -22,29 +21,26 @@ Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (
 PATIENCE = 60.0  # seconds that a cluster has to answer, and to have a worker
 
 
-@dataclass(frozen=True)
-class Failed:
+class Failed(NamedTuple):
     """Why a clip failed. trace: where, if it was no error that names the clip's own fault."""
 
     message: str
     trace: str = ""
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """What became of the jobs, each by its place in the list: what the function returned, what had been finished
     before, and what failed."""
 
-    names: tuple[str, ...]
-    results: dict[int, Any] = field(default_factory=dict)
-    skipped: tuple[int, ...] = ()
-    failed: dict[int, Failed] = field(default_factory=dict)
+    results: dict[int, Any]
+    skipped: tuple[int, ...]
+    failed: dict[int, Failed]
 
-    def lines(self) -> list[str]:
-        """Returns the report for a terminal: one line for all, and one for each clip that failed."""
+    def __str__(self) -> str:
+        """What became of them in numbers: "20 clips: 18 done, 2 failed"."""
         counts = {"done": self.results, "finished before": self.skipped, "failed": self.failed}
         said = ", ".join(f"{len(those)} {word}" for word, those in counts.items() if those or word == "done")
-        return [f"{len(self.names)} clips: {said}", *(f"{self.names[k]}: {x.message}" for k, x in self.failed.items())]
+        return f"{sum(map(len, counts.values()))} clips: {said}"
 
 
 def run_many(
@@ -74,7 +70,7 @@ def run_many(
         remedy = "leave out --jobs: a cluster does as many at once as it has workers"
         raise DataError("processes here, or a cluster", place="--jobs, --cluster", remedy=remedy)
     left = [k for k, job in enumerate(jobs) if finished is None or not finished(job)]
-    batch = Batch(tuple(map(name, jobs)), skipped=tuple(sorted({*range(len(jobs))} - {*left})))
+    batch = Batch({}, tuple(sorted({*range(len(jobs))} - {*left})), {})
     with tqdm(total=len(jobs), initial=len(batch.skipped), desc="clips", disable=len(jobs) < 2) as progress:
 
         def done(k: int, found: Any) -> None:
@@ -83,7 +79,7 @@ def run_many(
                 found = Failed("stopped before it was done" if cluster is None else unshared)
             if isinstance(found, Failed):
                 batch.failed[k] = found
-                progress.write(f"{batch.names[k]}: {found.message}\n{found.trace}".rstrip(), file=sys.stderr)
+                progress.write(f"{name(jobs[k])}: {found.message}\n{found.trace}".rstrip(), file=sys.stderr)
                 progress.set_postfix(failed=len(batch.failed))
             else:
                 batch.results[k] = found
@@ -112,15 +108,15 @@ def run_clips(
     said = defaultdict(list)
     for k, notes in sorted(found.results.items()):
         for note in notes:
-            said[note].append(found.names[k])
+            said[note].append(clips[k][0])
     for note, names in said.items():
         print(f"note: {note} ({names[0] if len(names) == 1 else f'{len(names)} clips'})")
-    print(found.lines()[0])
+    print(found)
     if found.skipped:
         how = "" if compared else ", perhaps made with other options"
         print(f"note: clips that were finished before{how}, stay as they are; to make one again, delete what it wrote")
     if found.failed:  # why was said when it happened
-        print(f"failed: {', '.join(found.names[k] for k in sorted(found.failed))}", file=sys.stderr)
+        print(f"failed: {', '.join(clips[k][0] for k in sorted(found.failed))}", file=sys.stderr)
     return 1 if found.failed else 0
 
 
