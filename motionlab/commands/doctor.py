@@ -61,19 +61,15 @@ def _normal_name(name: str) -> str:
 def _check_packages() -> list[Check]:
     """The packages that motionlab asks for by name, against their pins where this is a checkout."""
     pins = _read_pins(ROOT / "constraints.txt") if (ROOT / "constraints.txt").exists() else {}
-    try:
-        asked = metadata.requires("motionlab") or []
-    except metadata.PackageNotFoundError:
+    here = {_normal_name(each.name): each.version for each in metadata.distributions()}
+    if "motionlab" not in here:
         return [Check("motionlab", "not installed", "make setup")]
-    checks = []
-    for name in (_normal_name(re.match(r"[\w.-]+", each)[0]) for each in asked if "extra ==" not in each):
-        try:
-            version = metadata.version(name)
-            wanted = pins.get(name, version)
-            agrees = version.split("+")[0] == wanted
-            checks.append(Check(name, version, "" if agrees else f"pinned is {wanted}: make setup"))
-        except metadata.PackageNotFoundError:
-            checks.append(Check(name, "not installed", "make setup"))
+    checks, asked = [], (line for line in metadata.requires("motionlab") if "extra ==" not in line)
+    for name in (_normal_name(re.match(r"[\w.-]+", line)[0]) for line in asked):
+        version = here.get(name, "not installed")
+        wanted = pins.get(name, version)
+        agrees = name in here and version.split("+")[0] == wanted
+        checks.append(Check(name, version, "" if agrees else f"pinned is {wanted}: make setup"))
     return checks
 
 
