@@ -92,8 +92,6 @@ def test_a_function_that_leaves_nothing_behind_has_failed(tmp_path):
 def test_one_clip_runs_here(tmp_path):
     assert batch.run_many(lambda job: os.getpid(), [0]).results == {0: os.getpid()}
     assert str(batch.run_many(str, [])) == "0 clips: 0 done"
-    with pytest.raises(DataError, match="0 jobs"):
-        batch.run_many(str, [], jobs_at_once=0)
 
 
 def test_without_distributed_the_remedy_is_said(monkeypatch):
@@ -132,8 +130,6 @@ def test_workers_of_several_threads_are_refused(cluster, monkeypatch):
     monkeypatch.setattr(distributed.Client, "scheduler_info", two)
     with pytest.raises(DataError, match="--nthreads 1"):
         batch.run_many(str, [1, 2], cluster=address)
-    with pytest.raises(DataError, match="as many at once as it has workers"):
-        batch.run_many(str, [1, 2], cluster=address, jobs_at_once=2)
 
 
 def test_no_cluster_and_no_worker_are_said(monkeypatch, cluster):

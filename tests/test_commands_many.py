@@ -101,8 +101,6 @@ def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, c
         (("motions/walk0.bvh", "motions/../motions/walk0.bvh"), "this is the file that was opened"),
         (("motions/walk0.bvh", "one.fbx"), "use one of .bvh, .npz, .glb"),
         (("empty", "made"), "no motion (.bvh, .npz, .glb, .npy) in this folder"),
-        (("motions", "made", "--jobs", "0"), "give a number above 0"),
-        (("motions", "made", "--jobs", "2", "--cluster", "tcp://127.0.0.1:1"), "leave out --jobs"),
         (("motions", "made", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
     ],
 )
@@ -113,6 +111,19 @@ def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, wor
     assert inbetween(tmp_path / words[0], tmp_path / words[1], *words[2:]) == 2
     assert said in capsys.readouterr().err
     assert before == {path: path.read_bytes() for path in motions.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--jobs", "0"), "a whole number above 0"),
+        (("--jobs", "2", "--cluster", "tcp://127.0.0.1:1"), "not allowed with"),
+    ],
+)
+def test_options_that_do_not_go_together(motions, tmp_path, capsys, words, said):
+    with pytest.raises(SystemExit):
+        inbetween(motions, tmp_path / "made", *words)
+    assert said in capsys.readouterr().err and not (tmp_path / "made").exists()
 
 
 # ------------------------------------------------------------------------------------------------------------ fit

@@ -56,19 +56,13 @@ def run_many(
 
     function: of one job; both are pickled, so a module's function, or a ``functools.partial`` of one. finished: whether
     a job has been, by what its function writes last; asked before, and after. jobs_at_once: processes on this machine.
-    cluster: address of a Dask scheduler, tcp://HOST:PORT, whose workers do them, one thread each; they need this
-    library, and the folders of the jobs under the same names. name: of a job, for messages.
+    cluster: instead of these, address of a Dask scheduler, tcp://HOST:PORT, whose workers do them, one thread each;
+    they need this library, and the folders of the jobs under the same names. name: of a job, for messages.
 
     Raises:
-        DataError: jobs_at_once is below 1, or above it with a cluster, which has processes of its own; no such
-            cluster, one without workers, with workers of several threads, or one that went away; what is done stays
-            done. MissingData: a cluster without the package ``distributed``.
+        DataError: no such cluster, one without workers, with workers of several threads, or one that went away; what
+            is done stays done. MissingData: a cluster without the package ``distributed``.
     """
-    if jobs_at_once < 1:
-        raise DataError(f"{jobs_at_once} jobs", place="--jobs", remedy="give a number above 0")
-    if jobs_at_once > 1 and cluster is not None:
-        remedy = "leave out --jobs: a cluster does as many at once as it has workers"
-        raise DataError("processes here, or a cluster", place="--jobs, --cluster", remedy=remedy)
     left = [k for k, job in enumerate(jobs) if finished is None or not finished(job)]
     batch = Batch({}, tuple(sorted({*range(len(jobs))} - {*left})), {})
     with tqdm(total=len(jobs), initial=len(batch.skipped), desc="clips", disable=len(jobs) < 2) as progress:

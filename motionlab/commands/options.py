@@ -110,7 +110,7 @@ def _add_animator(add: Callable) -> None:
         option("--out", type=Path, required=True, help=_OUT)
         text = "also write a film: what was given beside what was made of it; not of a folder"
         option("--film", type=Path, metavar="FILE.mp4", help=text)
-        _add_sharing(option, "of a folder")
+        _add_sharing(command, "of a folder")
         _add_usual(command, seed, plants)
         return command, option
 
@@ -157,7 +157,7 @@ def _add_animator(add: Callable) -> None:
 
 def _add_fit(add: Callable) -> None:
     text = "find the 3-D motion of the people in a video, from 2-D keypoints"
-    _, option = add("fit", text, "clip.mp4 --keypoints keypoints/ --out scene/", "commands.footage:run")
+    command, option = add("fit", text, "clip.mp4 --keypoints keypoints/ --out scene/", "commands.footage:run")
     option("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
     option(
         "--keypoints", type=Path, metavar="PATH",
@@ -190,12 +190,13 @@ def _add_fit(add: Callable) -> None:
     option("--quick", action="store_true", help="few steps, a small film: a first look")
     text = "the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/"
     option("--each", action="store_true", help=text)
-    _add_sharing(option, "with --each")
+    _add_sharing(command, "with --each")
 
 
-def _add_sharing(option: Callable, what: str) -> None:
+def _add_sharing(command: argparse.ArgumentParser, what: str) -> None:
     """Adds the options of a command that works on a folder of clips."""
-    option("--jobs", type=int, metavar="N", help=f"{what}: so many at once, a process each (default 1)")
+    option = command.add_mutually_exclusive_group().add_argument
+    option("--jobs", type=_count, metavar="N", help=f"{what}: so many at once, a process each (default 1)")
     text = f"{what}: on the workers of this Dask scheduler, who share the folders (needs motionlab[cluster])"
     option("--cluster", metavar="tcp://HOST:PORT", help=text)
 
