@@ -14,7 +14,7 @@ class DataError(ValueError):
     """A file or a recording cannot be used: names the file, the place in it, and the remedy."""
 
     def __init__(self, message: str, *, path: object = None, place: str = "", remedy: str = "") -> None:
-        self.path, self.place, self.remedy = path, place, remedy
+        self.message, self.path, self.place, self.remedy = message, path, place, remedy
         where = ", ".join(str(part) for part in (path, place) if part)
         text = f"{where}: {message}" if where else message
         super().__init__(f"{text} (remedy: {remedy})" if remedy else text)

@@ -14,7 +14,7 @@ from motionlab.motion import Motion
 
 def prepare(options: argparse.Namespace) -> int:
     """Makes training motion of recordings."""
-    how = {"kept": options.out, "strict": options.strict, "workers": parallel.cores(), "reading": reading(options)}
+    how = {"kept": options.out, "workers": parallel.cores(), "reading": reading(options)}
     print(corpus.assemble(options.folder, options.sources, **how).report())
     print(f"kept in {options.out or corpus.cache_folder()}")
     return 0

@@ -102,7 +102,7 @@ class ChainTraining(TrainingRun):
     """A training run of the transition prior by chains; ``averaged`` is the model as it is shipped, frozen. start: the
     model to begin from; else z begins as the principal components of the change (:func:`begun_linear`)."""
 
-    data_name, least = "examples", 0.01
+    least = 0.01
     reads = staticmethod(lambda content: ChainRecipe(**content))
 
     def __init__(self, recipe: ChainRecipe, windows: Windows, start: Cvae | None = None) -> None:
