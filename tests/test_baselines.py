@@ -9,7 +9,7 @@ import twins
 
 from motionlab import baselines, rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.metrics.pose import jitter, mean_acceleration
+from motionlab.metrics import jitter, mean_acceleration
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 

@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from motionlab import rotation
-from motionlab.metrics import generation
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from studies.nb01_data import sources_compared
@@ -14,7 +13,7 @@ from tests.figures import standing
 
 
 def noisy(seed, shift, people=30):
-    table = shift + torch.randn(10 * people, len(generation.DESCRIPTION_UNITS), generator=seeded(seed))
+    table = shift + torch.randn(10 * people, len(sources_compared.DESCRIPTION_UNITS), generator=seeded(seed))
     return sources_compared.Windows(table, torch.arange(people).repeat_interleave(10), ("walk",) * len(table))
 
 
@@ -35,14 +34,14 @@ def test_quick_motion_is_the_share_above_four_hertz():
     motion = standing(90)
     t = torch.arange(90) / 30
     slow, fast = (motion.root + torch.stack((0.1 * (2 * math.pi * f * t).sin(), 0 * t, 0 * t), -1) for f in (1.0, 8.0))
-    share = [generation.describe(replace(motion, root=r))["quick motion"].item() for r in (slow, fast)]
+    share = [sources_compared.describe(replace(motion, root=r))["quick motion"].item() for r in (slow, fast)]
     assert share[0] < 1 < 99 < share[1]
 
 
 def test_feet_on_the_floor_are_measured():
     motion = standing(90)
     lifted = replace(motion, root=motion.root + torch.tensor([0.0, 0.0, 0.4]))
-    on, off = (generation.describe(m)["feet on the floor"].item() for m in (motion, lifted))
+    on, off = (sources_compared.describe(m)["feet on the floor"].item() for m in (motion, lifted))
     assert (on, off) == (100, 0)
 
 
@@ -53,8 +52,8 @@ def test_describe_a_turning_gliding_statue():
     rot = rotation.axis_angle_to_matrix(aa)
     rot[:, 0] = rotation.rotation_about("z", math.radians(90) * t) @ UPRIGHT
     root = torch.stack((1.2 * t, torch.zeros(30), torch.full((30,), 0.992)), -1)
-    found = generation.describe(Motion(STANDARD, root, rot, 30.0))
-    assert set(found) == set(generation.DESCRIPTION_UNITS)
+    found = sources_compared.describe(Motion(STANDARD, root, rot, 30.0))
+    assert set(found) == set(sources_compared.DESCRIPTION_UNITS)
     expected = {"root speed": 1.2, "turning rate": 90.0, "knee flexion": 40.0, "elbow flexion": 0.0}
     for name, value in expected.items():
         assert found[name].item() == pytest.approx(value, abs=0.05), name

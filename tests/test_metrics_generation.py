@@ -7,8 +7,8 @@ import pytest
 import scipy.linalg
 import torch
 
+from motionlab import metrics
 from motionlab.errors import DataError, ShapeError
-from motionlab.metrics import generation as g
 from tests.draws import seeded
 
 
@@ -27,20 +27,22 @@ def test_frechet_agrees_with_scipy(n, d):
     a, b = (np.atleast_2d(np.cov(z.numpy(), rowvar=False)) for z in (x, y))
     root = scipy.linalg.sqrtm(a @ b).real
     expected = ((x.mean(0) - y.mean(0)) ** 2).sum().item() + np.trace(a + b - 2 * root)
-    assert g.frechet(x, y) == pytest.approx(expected, rel=1e-9)
+    assert metrics.frechet(x, y) == pytest.approx(expected, rel=1e-9)
 
 
 def test_frechet_closed_forms():
     square = math.sqrt(1.5) * torch.tensor([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]).double() / math.sqrt(2)
-    assert g.frechet(square, square + torch.tensor([3.0, 4.0])) == pytest.approx(25)
-    assert g.frechet(square, square * torch.tensor([2.0, 3.0])) == pytest.approx(5)  # (1 - 2)^2 + (1 - 3)^2
-    assert g.frechet(square, square * torch.tensor([2.0, 0.0])) == pytest.approx(2)  # singular: (1 - 2)^2 + (1 - 0)^2
+    assert metrics.frechet(square, square + torch.tensor([3.0, 4.0])) == pytest.approx(25)
+    assert metrics.frechet(square, square * torch.tensor([2.0, 3.0])) == pytest.approx(5)  # (1 - 2)^2 + (1 - 3)^2
+    assert metrics.frechet(square, square * torch.tensor([2.0, 0.0])) == pytest.approx(
+        2
+    )  # singular: (1 - 2)^2 + (1 - 0)^2
 
 
 def test_frechet_with_fewer_samples_than_features_is_zero_for_equal_sets():
     x = correlated(20, 50, 3)
-    assert g.frechet(x, x) < 1e-9 * x.var(0).sum().item()
-    assert g.frechet(x, x + 1) == pytest.approx(50, rel=1e-9)
+    assert metrics.frechet(x, x) < 1e-9 * x.var(0).sum().item()
+    assert metrics.frechet(x, x + 1) == pytest.approx(50, rel=1e-9)
 
 
 # ------------------------------------------------------------------------------------------------- manifolds
@@ -60,11 +62,11 @@ def naive_density_coverage(fake, real, k):
 @pytest.mark.parametrize("k", [1, 3, 5])
 def test_manifolds_agree_with_loops(k):
     x, y = normal(40, 3, 1, scale=0.5, shift=1.0), normal(50, 3, 2)
-    found = g.precision_recall(x, y, k)
+    found = metrics.precision_recall(x, y, k)
     assert found.precision == pytest.approx(naive_manifold(y.tolist(), x.tolist(), k))
     assert found.recall == pytest.approx(naive_manifold(x.tolist(), y.tolist(), k))
     assert 0 < found.recall < 1
-    crowd = g.density_coverage(x, y, k)
+    crowd = metrics.density_coverage(x, y, k)
     assert (crowd.density, crowd.coverage) == pytest.approx(naive_density_coverage(x.tolist(), y.tolist(), k))
 
 
@@ -72,20 +74,20 @@ def test_manifolds_by_hand_on_the_edge_of_a_ball():
     """Real samples 0..4 on a line, k = 1: every ball has radius 1. Precision counts the edge, density does not."""
     real = torch.arange(5.0)[:, None]
     fake = torch.tensor([[1.0], [-1.0], [5.5]])
-    assert g.precision_recall(fake, real, 1).precision == pytest.approx(2 / 3)
-    crowd = g.density_coverage(fake, real, 1)
+    assert metrics.precision_recall(fake, real, 1).precision == pytest.approx(2 / 3)
+    crowd = metrics.density_coverage(fake, real, 1)
     assert (crowd.density, crowd.coverage) == pytest.approx((1 / 3, 1 / 5))  # only 1 lies inside a ball, its own
 
 
 def test_equal_sets_score_one_and_disjoint_sets_zero():
     x = normal(80, 4, 3)
     far = x + 1000
-    assert g.precision_recall(x, x.clone())[:2] == (1, 1) and g.precision_recall(x, far)[:2] == (0, 0)
-    assert g.density_coverage(x, x.clone()).coverage == 1 and g.density_coverage(x, far)[:2] == (0, 0)
-    assert g.density_coverage(x, x.clone()).density == pytest.approx(1, abs=0.2)
+    assert metrics.precision_recall(x, x.clone())[:2] == (1, 1) and metrics.precision_recall(x, far)[:2] == (0, 0)
+    assert metrics.density_coverage(x, x.clone()).coverage == 1 and metrics.density_coverage(x, far)[:2] == (0, 0)
+    assert metrics.density_coverage(x, x.clone()).density == pytest.approx(1, abs=0.2)
     turn, shift = torch.linalg.qr(normal(4, 4, 5)).Q, 7.0
     y = normal(80, 4, 4)
-    assert g.precision_recall(3 * x @ turn + shift, 3 * y @ turn + shift) == g.precision_recall(x, y)
+    assert metrics.precision_recall(3 * x @ turn + shift, 3 * y @ turn + shift) == metrics.precision_recall(x, y)
 
 
 def test_control_mode_collapse_costs_recall_and_coverage_but_not_precision():
@@ -95,13 +97,13 @@ def test_control_mode_collapse_costs_recall_and_coverage_but_not_precision():
     good = torch.cat((normal(150, 3, 3), normal(150, 3, 4) + hump))
     collapsed = normal(300, 3, 5)
     for fake, whole in ((good, True), (collapsed, False)):
-        both, crowd = g.precision_recall(fake, real), g.density_coverage(fake, real)
+        both, crowd = metrics.precision_recall(fake, real), metrics.density_coverage(fake, real)
         assert both.precision > 0.8
         assert (both.recall > 0.8) == whole and (crowd.coverage > 0.8) == whole
-    assert g.precision_recall(collapsed, real).recall == pytest.approx(0.5, abs=0.06)
+    assert metrics.precision_recall(collapsed, real).recall == pytest.approx(0.5, abs=0.06)
 
 
-@pytest.mark.parametrize("measure", [g.frechet, g.precision_recall, g.density_coverage])
+@pytest.mark.parametrize("measure", [metrics.frechet, metrics.precision_recall, metrics.density_coverage])
 def test_bad_sets_are_refused(measure):
     good = normal(10, 3)
     for bad in (normal(10, 4), normal(1, 3), normal(10, 3)[0]):

@@ -18,8 +18,7 @@ from torch.nn.functional import one_hot
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import LEGS, gather, on_standard
 from motionlab.errors import DataError, ShapeError
-from motionlab.metrics.gait import slide_where_truth_stands_mm
-from motionlab.metrics.pose import joint_errors, mean_acceleration
+from motionlab.metrics import joint_errors, mean_acceleration, slide_where_truth_stands_mm
 from motionlab.motion import Motion
 from motionlab.skeleton import FEET, STANDARD
 

@@ -11,8 +11,7 @@ from torch import Tensor
 from motionlab.humor.cvae import Cvae, kl
 from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.humor.state import apply, bone_lengths, globalise, heading, localise, transition_pairs, unpack
-from motionlab.metrics.gait import contact_scores
-from motionlab.metrics.pose import masked_mean, mean_acceleration
+from motionlab.metrics import contact_scores, masked_mean, mean_acceleration
 from motionlab.motion import FPS
 from motionlab.skeleton import BALLS, STANDARD
 

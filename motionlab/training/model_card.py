@@ -20,7 +20,7 @@ from motionlab.humor import pretrained, quality
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.rollout import sample_rollout
 from motionlab.humor.state import unpack
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 from motionlab.motion import FPS, Motion
 
 PRIORS = "humor_*", "transition"  # patterns of their names

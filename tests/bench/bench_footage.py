@@ -20,13 +20,11 @@ from pathlib import Path
 import torch
 
 from data_synth import scenes
-from motionlab import rotation
+from motionlab import metrics, rotation
 from motionlab.footage import scene_fit
 from motionlab.humor import pretrained, testops
 from motionlab.humor.testops import Schedule
-from motionlab.metrics import gait
-from motionlab.metrics.intervals import interval
-from motionlab.metrics.pose import joint_errors
+from motionlab.metrics import interval, joint_errors
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
@@ -136,7 +134,7 @@ def _off(motion: Motion, truth: Motion, *, turned: bool) -> torch.Tensor:
 
 def _stays_seated(motion: Motion) -> torch.Tensor:
     """(starts,) true where both legs are bent as a sitter's in every frame of two seconds."""
-    bent = torch.stack([angle.amin(-1) for angle in gait.tilt_and_bend(motion)]).amin(0) >= gait.SEATED
+    bent = torch.stack([angle.amin(-1) for angle in metrics.tilt_and_bend(motion)]).amin(0) >= metrics.SEATED
     return bent.unfold(0, 60, 1).all(-1)
 
 

@@ -19,7 +19,7 @@ from motionlab.humor.cvae import Cvae
 from motionlab.humor.energies import JOINTS, KEYPOINTS
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
-from motionlab.metrics.gait import tilt_and_bend
+from motionlab.metrics import tilt_and_bend
 from motionlab.motion import Motion
 
 HIDDEN_BELOW = 0.9  # metres: the height of the table behind which legs are hidden

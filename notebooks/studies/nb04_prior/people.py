@@ -15,7 +15,7 @@ from motionlab import corpus, splits
 from motionlab.corpus import Take
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae
-from motionlab.metrics.gait import SEATED, tilt_and_bend
+from motionlab.metrics import SEATED, tilt_and_bend
 from motionlab.motion import Motion
 from motionlab.training import model_card
 from studies.shared.clips import whole

@@ -14,7 +14,7 @@ from torch import Tensor
 from motionlab import baselines
 from motionlab.bench import cases
 from motionlab.bench.cases import PersonWindows
-from motionlab.metrics.pose import joint_errors, masked_mean
+from motionlab.metrics import joint_errors, masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.shared.fill_contenders import BLENDED, LEFT, MIXED, PLAIN, Models, P, R, T

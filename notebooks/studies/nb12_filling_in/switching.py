@@ -18,8 +18,7 @@ from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.heading import heading_frame, local_to_world, world_to_local
-from motionlab.metrics.gait import skating_ratio
-from motionlab.metrics.pose import mean_acceleration
+from motionlab.metrics import mean_acceleration, skating_ratio
 from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
 from studies.nb12_filling_in.flaws import step_changes
