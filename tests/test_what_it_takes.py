@@ -3,9 +3,8 @@
 import pytest
 import torch
 
-from motionlab import rotation
-from motionlab.bench import cases
-from motionlab.bench.cases import PersonWindows
+from motionlab import bench, rotation
+from motionlab.bench import PersonWindows
 from motionlab.diffusion.model import motion_model
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
@@ -23,7 +22,7 @@ def moving(count, seed=0):
 
 
 def people(count):
-    lacks = torch.zeros(count, 1, cases.JOINTS + 2, dtype=torch.bool)
+    lacks = torch.zeros(count, 1, bench.JOINTS + 2, dtype=torch.bool)
     return PersonWindows(moving(count), torch.arange(count) // 2, lacks)
 
 
@@ -32,7 +31,7 @@ def test_a_perfect_guess_leaves_nothing_and_only_legs_are_asked_for():
     assert learning.left_cm(model, some, some.x).max() < 1e-3
     off = some.x + 0.1 * torch.randn(some.x.shape, generator=seeded(1))
     made, truth = (learning.filled(model, some, x).positions for x in (off, some.x))
-    legs = STANDARD.indices(cases.LOWER)
+    legs = STANDARD.indices(bench.LOWER)
     above = [j for j in range(len(STANDARD)) if j not in legs]
     assert torch.equal(made[..., above, :], truth[..., above, :])
     assert learning.left_cm(model, some, off).min() > 0.1

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from motionlab import metrics, rotation, splits
-from motionlab.bench.cases import by_person
+from motionlab.bench import by_person
 from motionlab.contact import with_contacts
 from motionlab.corpus import Corpus
 from motionlab.motion import Motion, velocity, windows

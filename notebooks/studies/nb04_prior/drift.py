@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from motionlab.bench.cases import by_person
+from motionlab.bench import by_person
 from motionlab.humor import evidence, quality, state, testops
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.energies import JOINTS, KEYPOINTS

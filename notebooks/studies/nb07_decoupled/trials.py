@@ -18,7 +18,7 @@ from torch import Tensor
 from data_synth import scenes
 from data_synth.scenes import Scene
 from motionlab import corpus, metrics, splits
-from motionlab.bench.cases import person_windows
+from motionlab.bench import person_windows
 from motionlab.humor import state, testops
 from motionlab.humor.energies import JOINTS, RGB_LIGHT
 from motionlab.humor.evidence import Observation2D, Observation3D, evidence

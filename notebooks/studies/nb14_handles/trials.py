@@ -7,7 +7,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from motionlab.bench.cases import by_person
+from motionlab.bench import by_person
 from motionlab.diffusion.poses import NUMBERS, Poser, finished
 from motionlab.metrics import masked_mean
 from motionlab.motion import Motion

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.baselines import interpolate
-from motionlab.bench.judge import RIDGES, Rivals
+from motionlab.bench import RIDGES, Rivals
 from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import Completer, guess
 from motionlab.diffusion.features import units

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from motionlab import metrics
-from motionlab.bench.cases import by_person
+from motionlab.bench import by_person
 from motionlab.diffusion.encoder import motion_encoder
 from motionlab.metrics import interval
 from motionlab.motion import Motion

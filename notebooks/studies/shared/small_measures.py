@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from motionlab import metrics
-from motionlab.bench.cases import PersonWindows, by_person
+from motionlab.bench import PersonWindows, by_person
 from motionlab.contact import resting_heights
 from motionlab.diffusion.encoder import motion_encoder
 from motionlab.diffusion.model import LEVELS, MotionDiffusion, motion_model
