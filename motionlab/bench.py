@@ -29,7 +29,7 @@ from torch.nn.functional import one_hot
 from motionlab import baselines, corpus, splits
 from motionlab.corpus import Take
 from motionlab.diffusion.features import UNITS, Layout, Normaliser, units
-from motionlab.diffusion.inpainting import offset_decay
+from motionlab.diffusion.sampling import offset_decay
 from motionlab.diffusion.windows import LEGS, gather, on_standard
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
@@ -275,7 +275,7 @@ class Rivals:
         mean = rows.mean(0)
         return cls(layout, normaliser, rows, mean, _principal(rows - mean, parts, generator))
 
-    # finish: frames beside what is known over which the offset from it fades (``inpainting.offset_decay``); 0: it jumps
+    # finish: frames beside what is known over which the offset from it fades (``sampling.offset_decay``); 0: it jumps
     def nearest(
         self, motion: Motion, known: Tensor, finish: int = 0, *, rank: int = 0, clips: Tensor | None = None
     ) -> Motion:
