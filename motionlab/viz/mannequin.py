@@ -58,23 +58,17 @@ def single(motion: Motion) -> Motion:
 class Figure:
     """Solids in the frames of their joints.
 
-    vertices, normals (V, 3): metres, in the frame of joint[v]. faces (F, 3). colours (V, 3) uint8.
+    vertices (V, 3): metres, in the frame of joint[v]. faces (F, 3). colours (V, 3) uint8.
     """
 
     vertices: np.ndarray
-    normals: np.ndarray
     faces: np.ndarray
     joint: np.ndarray
     colours: np.ndarray
 
-    def pose(self, positions: np.ndarray, orientations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes world vertices and normals (V, 3) for joint positions (J, 3) and orientations (J, 3, 3).
-
-        x = R_joint v + p_joint
-        """
-        turn = orientations[self.joint]
-        vertices, normals = (np.einsum("vij,vj->vi", turn, x) for x in (self.vertices, self.normals))
-        return vertices + positions[self.joint], normals
+    def pose(self, positions: np.ndarray, orientations: np.ndarray) -> np.ndarray:
+        """Computes world vertices (V, 3) for joint positions (J, 3) and orientations (J, 3, 3): R_joint v + p_joint."""
+        return np.einsum("vij,vj->vi", orientations[self.joint], self.vertices) + positions[self.joint]
 
 
 def _lathe(start, end, along, radius, widen=1.0):
@@ -86,18 +80,13 @@ def _lathe(start, end, along, radius, widen=1.0):
     side /= np.linalg.norm(side)
     angle = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
     ring = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(axis, side)
-    slope_r, slope_s = np.gradient(radius), np.gradient(along)
     vertices = start + along[:, None, None] * axis + radius[:, None, None] * ring
-    normals = slope_s[:, None, None] * ring - slope_r[:, None, None] * axis
-    normals[0], normals[-1] = -axis, axis
     middle = (start + end)[0] / 2
     vertices[..., 0] = middle + (vertices[..., 0] - middle) * widen
-    normals[..., 0] /= widen
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
     k, i = np.meshgrid(np.arange(len(along) - 1), np.arange(_SIDES), indexing="ij")
     a, b = k * _SIDES + i, k * _SIDES + (i + 1) % _SIDES
     faces = np.stack((a, b, a + _SIDES, b, b + _SIDES, a + _SIDES), -1).reshape(-1, 3)
-    return vertices.reshape(-1, 3), normals.reshape(-1, 3), faces
+    return vertices.reshape(-1, 3), faces
 
 
 def _limb(start, end, r0: float, r1: float, bulge: float = 0.0, widen: float = 1.0):
@@ -110,12 +99,10 @@ def _limb(start, end, r0: float, r1: float, bulge: float = 0.0, widen: float = 1
 
 
 def _ellipsoid(centre, radii):
-    """An ellipsoid with its axes along the frame's: vertices, normals, faces."""
+    """An ellipsoid with its axes along the frame's: vertices, faces."""
     turn = np.linspace(0, np.pi, 17)
-    v, n, faces = _lathe((0, 0, 0), (0, 1, 0), -np.cos(turn), np.sin(turn))
-    radii = np.asarray(radii, float)
-    n = v / radii
-    return v * radii + np.asarray(centre), n / np.linalg.norm(n, axis=-1, keepdims=True), faces
+    vertices, faces = _lathe((0, 0, 0), (0, 1, 0), -np.cos(turn), np.sin(turn))
+    return vertices * np.asarray(radii) + np.asarray(centre), faces
 
 
 def _mannequin(skeleton: Skeleton, offsets: np.ndarray):
@@ -179,17 +166,17 @@ def build(skeleton: Skeleton, base: str | tuple) -> Figure:
     mannequin = skeleton.names == STANDARD.names
     parts = list((_mannequin if mannequin else _any_body)(skeleton, offsets))
     joints, where, solids = zip(*parts or [(0, "middle", _ellipsoid((0, 0, 0), (0.05, 0.05, 0.05)))], strict=True)
-    counts = [len(v) for v, _, _ in solids]
+    counts = [len(v) for v, _ in solids]
     joint, colours = np.repeat(joints, counts), np.repeat([tones[side] for side in where], counts, axis=0)
-    vertices, normals = (np.concatenate([solid[k] for solid in solids]) for k in (0, 1))
+    vertices = np.concatenate([v for v, _ in solids])
     if mannequin:  # a light visor: which way the head looks
         head = joint == skeleton.index("head")
         local = (vertices - (vertices[head].max(0) + vertices[head].min(0)) / 2) / np.ptp(vertices[head], axis=0) * 2
         face = np.clip((local[:, 2] - 0.45) / 0.3, 0, 1) * np.clip((0.75 - np.abs(local[:, 1])) / 0.3, 0, 1) * head
         colours += 0.75 * face[:, None] * (1 - colours)
     first = np.cumsum([0, *counts[:-1]])
-    faces = np.concatenate([f + i for i, (_, _, f) in zip(first, solids, strict=True)])
-    return Figure(vertices, normals, faces, joint, (255 * colours).round().astype(np.uint8))
+    faces = np.concatenate([f + i for i, (_, f) in zip(first, solids, strict=True)])
+    return Figure(vertices, faces, joint, (255 * colours).round().astype(np.uint8))
 
 
 def array(x: Tensor) -> np.ndarray:
@@ -206,16 +193,16 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-20)
 
 
-def surface(points: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> pv.PolyData:
-    """Builds a mesh that keeps the given normals when its points move in place."""
+def surface(points: np.ndarray, faces: np.ndarray) -> pv.PolyData:
+    """Builds a mesh with normals."""
     mesh = pv.PolyData.from_regular_faces(np.array(points, float), np.asarray(faces))
-    mesh.point_data.active_normals = np.array(normals, float)
+    mesh.point_data.active_normals = vertex_normals(points, faces)
     return mesh
 
 
-def move_surface(mesh: pv.PolyData, points: np.ndarray, normals: np.ndarray) -> None:
+def move_surface(mesh: pv.PolyData, points: np.ndarray) -> None:
     """Moves a mesh in place: no new actor, no new topology."""
-    mesh.points[:], mesh.point_data.active_normals[:] = points, normals
+    mesh.points[:], mesh.point_data.active_normals[:] = points, vertex_normals(points, mesh.regular_faces)
     mesh.GetPoints().GetData().Modified()
     mesh.GetPointData().GetNormals().Modified()
     mesh.Modified()
