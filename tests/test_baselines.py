@@ -115,14 +115,7 @@ def test_kalman_smoother_agrees_with_dense_least_squares(generator):
     x = torch.randn(25, 2, generator=generator, dtype=F64).cumsum(0)
     found = baselines.kalman(x, 30.0, 0.5, 20.0)
     for d in range(2):
-        np.testing.assert_allclose(found[:, d], dense_smoother(x[:, d].numpy(), 1 / 30, 0.5, 20.0), atol=1e-4)
-
-
-def test_kalman_of_many_columns_is_that_of_few(generator):
-    """Where there are more numbers than pairs of frames, they go through one matrix."""
-    x = 5 * torch.randn(2, 25, 30, generator=generator, dtype=F64).cumsum(-2)
-    found = baselines.kalman(x, 30.0, 0.5, 20.0)
-    assert (found[0, :, :25] - baselines.kalman(x[0, :, :25], 30.0, 0.5, 20.0)).abs().max() < 1e-6
+        np.testing.assert_allclose(found[:, d], dense_smoother(x[:, d].numpy(), 1 / 30, 0.5, 20.0), atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["fps", "noise", "acceleration"])
