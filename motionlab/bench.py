@@ -1,6 +1,6 @@
 """The bench: judges whoever completes motions, on windows of people nobody trained on: the test cases of thesis 4.2.1,
 errors by person, the energy score of draws; and the rivals that must be beaten on the same masks: the nearest
-neighbour, ridge regression, filters.
+neighbour and ridge regression.
 
     windows = people("recordings", "val")
     judged(lambda motion, known: mine(motion, known), CASES["legs hidden"], windows)["cm"].mean()
@@ -18,15 +18,14 @@ Differs: numbers instead of looking.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from pathlib import Path
-from typing import NamedTuple, Self, TypeVar
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from motionlab import baselines, corpus, splits
+from motionlab import corpus, splits
 from motionlab.corpus import Take
 from motionlab.diffusion.features import UNITS, Layout, Normaliser, units
 from motionlab.diffusion.sampling import offset_decay
@@ -40,7 +39,6 @@ from motionlab.skeleton import FEET, STANDARD
 FRAMES, JOINTS = 60, len(STANDARD)  # of a window
 HIDDEN = tuple(name for name in STANDARD.names if name.endswith(LEGS))  # rotations that occluded legs lose
 LOWER = tuple(name for name in HIDDEN if not name.endswith("hip"))  # joints whose places follow from them
-T = TypeVar("T")
 #: Windows (B, T) and what is known of them (B, T, U) -> windows; only what is known may be read, and where a window
 #: begins and faces.
 Fill = Callable[[Motion, Tensor], Motion]
@@ -210,15 +208,6 @@ def error_cm(made: Motion, truth: Motion, known: Tensor, joints: tuple[str, ...]
     return (errors.mean(-1) * where).sum(-1) / where.sum(-1)
 
 
-def chosen(
-    options: Sequence[T], make: Callable[[T], Motion], truth: Motion, known: Tensor | None = None,
-    joints: tuple[str, ...] | None = None,
-) -> T:  # fmt: skip
-    """The option that leaves the least error, on windows that settings are chosen on; known None: nothing is known."""
-    hidden = torch.zeros(*truth.root.shape[:2], JOINTS + 2, dtype=torch.bool) if known is None else known
-    return min(options, key=lambda option: float(error_cm(make(option), truth, hidden, joints).mean()))
-
-
 def acceleration_ratio(made: Motion, truth: Motion) -> Tensor:
     """Mean size (B,) of the joints' accelerations over the truth's."""
     return mean_acceleration(made.positions, made.fps) / mean_acceleration(truth.positions, truth.fps)
@@ -239,16 +228,6 @@ def restore_known(made: Motion, given: Motion, known: Tensor) -> Motion:
 
 # --------------------------------------------------------------------------------------------------------------- rivals
 RIDGES = (0.01, 0.1, 1.0, 10.0, 30.0, 100.0, 300.0, 1000.0)  # variances; the known numbers say much alike
-FILTERS: Mapping[str, tuple[Callable, Mapping[str, Sequence]]] = {
-    "Savitzky-Golay": (
-        lambda x, fps, **settings: baselines.savitzky_golay(x, **settings),
-        {"window": (5, 7, 9, 13, 17, 21), "degree": (2, 3)},
-    ),
-    "one euro": (baselines.one_euro, {"min_cutoff": (0.5, 1.0, 2.0, 4.0, 8.0), "beta": (0.0, 1.0, 4.0)}),
-    "Kalman smoother": (  # only their ratio matters
-        baselines.kalman, {"noise": (1.0,), "acceleration": (3.0, 10.0, 30.0, 100.0, 300.0)}
-    ),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,19 +336,3 @@ def _principal(rows: Tensor, parts: int, generator: torch.Generator) -> Tensor:
     basis = torch.linalg.qr(basis).Q
     values, axes = torch.linalg.eigh((rows @ basis).mT.cov(correction=0))
     return basis @ axes[:, -parts:] * values[-parts:].clamp(min=0).sqrt()
-
-
-def filtered(motion: Motion, name: str, **settings: float) -> Motion:
-    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres.
-
-    The Kalman smoother's strength of acceleration is per unit of noise.
-    """
-    apply, _ = FILTERS[name]
-    return baselines.smooth(motion, lambda x: apply(x, motion.fps, **settings))
-
-
-def tune(name: str, noisy: Motion, truth: Motion) -> dict[str, float]:
-    """The settings of a filter that leave the least joint error on windows that settings are chosen on."""
-    _, grid = FILTERS[name]
-    options = [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
-    return chosen(options, lambda settings: filtered(noisy, name, **settings), truth)

@@ -1,4 +1,4 @@
-"""The rivals: the conditional mean of a Gaussian in closed form, planted neighbours, filters that are tuned."""
+"""The rivals: the conditional mean of a Gaussian in closed form, planted neighbours."""
 
 from dataclasses import replace
 
