@@ -1,7 +1,7 @@
 """Fills gaps, puts noise on motions and smooths it away without a model, as baselines: curves, filters.
 
-Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single joints, True where the motion may be
-used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
+Gaps are given by ``known``: (T,) or (..., T) for whole frames, (..., T, J) with all axes for single joints, True where
+the motion may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
 
 ``smooth_curves`` are, number by number, the conditional mean of a Gaussian process in time of Matern covariance 3/2.
 Like cubic splines these have a velocity that does not jump, but far from known entries they come back to zero.
@@ -28,19 +28,14 @@ _LIVELY, _QUICK = 2.5, 1.0  # strength of acceleration that is motion: rad/s^(3/
 
 
 def _mask(known: Tensor, motion: Motion) -> Tensor:
-    """The mask as bool (..., T, J)."""
-    frames, joints = motion.rot.shape[-4:-2]
-    known, lead = known.bool(), motion.root.shape[:-1]
-    pairs = zip(reversed(known.shape), reversed(lead), strict=False)
-    by_frame = 0 < known.ndim <= len(lead) and known.shape[-1] == frames and all(k in (1, n) for k, n in pairs)
-    by_joint = known.shape[-2:] == (frames, joints)
-    if by_frame and by_joint:
-        raise ShapeError(f"known {tuple(known.shape)}: frames of each clip, or joints of each frame? Give all axes")
-    if not by_frame and not by_joint:
-        raise ShapeError(f"known: expected (..., {frames}) or (..., {frames}, {joints}), got {tuple(known.shape)}")
-    if not known.any(-1 if by_frame else -2).all():
+    """The mask as bool (..., T, J): of joints where it has an axis more than frames have."""
+    whole = known.bool() if known.ndim == motion.root.ndim else known.bool()[..., None]
+    *_, frames, joints = shape = motion.rot.shape[:-2]
+    if whole.shape[-2:] not in ((frames, 1), (frames, joints)) or whole.ndim > len(shape):
+        raise ShapeError(f"known: expected (..., {frames}) or {tuple(shape)}, got {tuple(known.shape)}")
+    if not whole.any(-2).all():
         raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")
-    return (known[..., None] if by_frame else known).expand(motion.rot.shape[:-2])
+    return whole.expand(shape)
 
 
 def nearest_known(known: Tensor) -> tuple[Tensor, Tensor]:

@@ -40,13 +40,11 @@ def single(motion: Motion) -> Motion:
         ShapeError: a batch of motions, several bodies, or no frames. DataError: a frame that is not finite.
     """
     name = motion.name or "motion"
-    if motion.root.ndim != 2:
-        batch = tuple(motion.root.shape[:-2])
-        raise ShapeError(f"{name}: expected one clip (T, J), got a batch of {batch}; take one with motion.clip(i)")
+    if motion.root.ndim != 2 or motion.positions.ndim != 3:
+        got = f"a batch of root {tuple(motion.root.shape)}, offsets {tuple(motion.skeleton.offsets.shape)}"
+        raise ShapeError(f"{name}: expected one clip (T, J) of one body, got {got}; take one with motion.clip(i)")
     if motion.frames == 0:
         raise ShapeError(f"{name}: no frames to show")
-    if motion.positions.ndim != 3:
-        raise ShapeError(f"{name}: expected the offsets of one body, got {tuple(motion.skeleton.offsets.shape)}")
     bad = ~motion.positions.isfinite().flatten(1).all(1)
     if bad.any():
         place = f"frame {int(bad.nonzero()[0])}"
@@ -255,19 +253,17 @@ def add_words(plotter: pv.Plotter, text: str, place: str, size: float):
 
 def floor_tiles(centre: np.ndarray, radius: float) -> pv.PolyData:
     """Builds a checkerboard of 0.5 m tiles on the world's grid that fades into the paper, colours in "paint"."""
-    low = np.floor((np.asarray(centre[:2]) - radius) / _TILE).astype(int)
-    step = _TILE / 2  # two cells per tile: a smoother fade
-    cell = np.indices([2 * int(np.ceil(2 * radius / _TILE)) + 2] * 2).reshape(2, -1).T
-    corner = low * _TILE + cell * step
-    points = np.full((len(corner), 4, 3), _FLOOR_Z)
-    points[..., :2] = corner[:, None] + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * step
-    odd = (low + cell // 2).sum(1, keepdims=True) % 2
-    away = np.linalg.norm(corner + step / 2 - np.asarray(centre[:2]), axis=-1, keepdims=True) / radius
+    low, across = np.floor((np.asarray(centre) - radius) / _TILE), int(np.ceil(2 * radius / _TILE)) + 1
+    middle, cells = (low + across / 2) * _TILE, 2 * across  # two cells per tile: a smoother fade
+    side = {"i_size": across * _TILE, "j_size": across * _TILE, "i_resolution": cells, "j_resolution": cells}
+    mesh = pv.Plane(center=(*middle, _FLOOR_Z), direction=(0, 0, 1), **side)
+    at = mesh.cell_centers().points[:, :2]
+    odd = np.floor(at / _TILE).sum(1, keepdims=True) % 2
+    away = np.linalg.norm(at - np.asarray(centre), axis=-1, keepdims=True) / radius
     fade = np.clip((away - 0.35) / 0.65, 0, 1)
     fade = fade * fade * (3 - 2 * fade)
     tile = np.where(odd, blend(TILE, "white", 0.75), to_rgb(TILE))
     rgb = (1 - fade) * tile + fade * np.array(to_rgb(PAPER))
-    mesh = pv.PolyData.from_regular_faces(points.reshape(-1, 3), np.arange(4 * len(corner)).reshape(-1, 4))
     mesh.cell_data["paint"] = (255 * rgb).round().astype(np.uint8)
     return mesh
 

@@ -63,13 +63,10 @@ class Framing:
 
     def sees(self, eye: pv.Camera, points: np.ndarray) -> bool:
         """Says whether any of the points (N, 3) lies in the picture of an eye."""
-        ahead = np.subtract(eye.focal_point, eye.position)
-        ahead /= np.linalg.norm(ahead)
-        right = np.cross(ahead, eye.up)
-        right /= np.linalg.norm(right)
-        x, y, depth = np.stack((right, np.cross(right, ahead), ahead)) @ (points - eye.position).T
-        reach = _half_angle(self.aspect) * depth
-        return bool(((np.abs(x) < self.aspect * reach) & (np.abs(y) < reach)).any())
+        planes = np.zeros(24)
+        eye.GetFrustumPlanes(self.aspect, planes)
+        inward, offset = planes.reshape(6, 4)[:, :3], planes[3::4]
+        return bool((points @ inward.T + offset > 0).all(1).any())
 
 
 def choose_framing(
