@@ -6,12 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 import pyvista as pv
+import torch
 from matplotlib.colors import to_rgb
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 from vtkmodules.vtkCommonCore import vtkInformation
 from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
+from motionlab.body import vertex_normals
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
@@ -182,25 +184,21 @@ def array(x: Tensor) -> np.ndarray:
     return x.detach().double().cpu().numpy()
 
 
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Computes unit normals (V, 3): the area-weighted mean of the faces around each vertex."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    face = np.cross(b - a, c - a)
-    at = faces.ravel()
-    normals = np.stack([np.bincount(at, np.repeat(face[:, k], 3), len(vertices)) for k in range(3)], -1)
-    return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-20)
-
-
 def surface(points: np.ndarray, faces: np.ndarray) -> pv.PolyData:
     """Builds a mesh with normals."""
     mesh = pv.PolyData.from_regular_faces(np.array(points, float), np.asarray(faces))
-    mesh.point_data.active_normals = vertex_normals(points, faces)
+    mesh.point_data.active_normals = _normals(mesh)
     return mesh
+
+
+def _normals(mesh: pv.PolyData) -> np.ndarray:
+    return vertex_normals(torch.as_tensor(np.array(mesh.points)), torch.as_tensor(mesh.regular_faces)).numpy()
 
 
 def move_surface(mesh: pv.PolyData, points: np.ndarray) -> None:
     """Moves a mesh in place: no new actor, no new topology."""
-    mesh.points[:], mesh.point_data.active_normals[:] = points, vertex_normals(points, mesh.regular_faces)
+    mesh.points[:] = points
+    mesh.point_data.active_normals[:] = _normals(mesh)
     mesh.GetPoints().GetData().Modified()
     mesh.GetPointData().GetNormals().Modified()
     mesh.Modified()
