@@ -27,7 +27,7 @@ from torch.nn.functional import one_hot
 
 from motionlab import corpus, splits
 from motionlab.corpus import Take
-from motionlab.diffusion.features import UNITS, Layout, Normaliser, units
+from motionlab.diffusion.features import UNITS, Layout, Normaliser, restore_known, units
 from motionlab.diffusion.sampling import offset_decay
 from motionlab.diffusion.windows import LEGS, gather, on_standard
 from motionlab.errors import DataError, ShapeError
@@ -217,13 +217,6 @@ def slide_mm(made: Motion, truth: Motion) -> Tensor:
     """mm per frame (B,) that foot joints move where the true ones stand; NaN where none stands."""
     feet = STANDARD.indices(FEET)
     return slide_where_truth_stands_mm(made.positions[..., feet, :], truth.positions[..., feet, :])
-
-
-def restore_known(made: Motion, given: Motion, known: Tensor) -> Motion:
-    """Returns a motion with its known rotations and places as they were given: without the rounding of a way there and
-    back."""
-    rot = torch.where(known[..., :JOINTS, None, None], given.rot, made.rot)
-    return replace(made, rot=rot, root=torch.where(known[..., JOINTS, None], given.root, made.root))
 
 
 # --------------------------------------------------------------------------------------------------------------- rivals
