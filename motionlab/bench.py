@@ -17,7 +17,6 @@ Differs: numbers instead of looking.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -36,7 +35,7 @@ from motionlab.metrics import joint_errors, mean_acceleration, slide_where_truth
 from motionlab.motion import Motion
 from motionlab.skeleton import FEET, STANDARD
 
-FRAMES, JOINTS = 60, len(STANDARD)  # of a window
+FRAMES, JOINTS = 60, len(STANDARD)  # of a window, of a figure
 HIDDEN = tuple(name for name in STANDARD.names if name.endswith(LEGS))  # rotations that occluded legs lose
 LOWER = tuple(name for name in HIDDEN if not name.endswith("hip"))  # joints whose places follow from them
 #: Windows (B, T) and what is known of them (B, T, U) -> windows; only what is known may be read, and where a window
@@ -141,17 +140,13 @@ class Case:
     edges: bool = False
 
 
-def _joints(count: int, share: float) -> Tensor:
-    return whole_window(count, FRAMES, share, torch.Generator().manual_seed(7))
-
-
 CASES: Mapping[str, Case] = {
     "legs hidden": Case(lambda n: legs(n, FRAMES), LOWER),
     "gap of 30 frames": Case(lambda n: gap(n, FRAMES, 30), edges=True),
     "gap of 45 frames": Case(lambda n: gap(n, FRAMES, 45), edges=True),
     "every 15th frame": Case(lambda n: keys(n, FRAMES, 15), edges=True),
-    "half of the joints": Case(partial(_joints, share=0.5)),
-    "a quarter of the joints": Case(partial(_joints, share=0.25)),
+    "half of the joints": Case(lambda n: whole_window(n, FRAMES, 0.5, torch.Generator().manual_seed(7))),
+    "a quarter of the joints": Case(lambda n: whole_window(n, FRAMES, 0.25, torch.Generator().manual_seed(7))),
 }
 
 
