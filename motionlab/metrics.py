@@ -215,20 +215,11 @@ def slide_where_truth_stands_mm(positions: Tensor, truth: Tensor, *, still: floa
     return masked_mean(step * 1000, true < still, 2)
 
 
-class ContactScores(NamedTuple):
-    """Shares (...) in 0..1 of contact labels, over all frames and joints."""
-
-    precision: Tensor  #: of the predicted contacts, how many are true; NaN where none is predicted
-    recall: Tensor  #: of the true contacts, how many are predicted; NaN where there is none
-    f1: Tensor  #: their harmonic mean, 2 hits / (predicted + true); NaN where there is neither
-    accuracy: Tensor  #: of all labels, how many are right
-
-
-def contact_scores(predicted: Tensor, truth: Tensor) -> ContactScores:
-    """Compares contact labels (..., T, C), or probabilities with threshold 1/2, with the true ones."""
+def contact_f1(predicted: Tensor, truth: Tensor) -> Tensor:
+    """Computes the F1 score (...) of contact labels (..., T, C), or of probabilities with threshold 1/2, over all
+    frames and joints: 2 hits / (predicted + true); NaN where there is neither."""
     p, t = (predicted > 0.5).double(), (truth > 0.5).double()
-    hits, ps, ts = (x.sum((-1, -2)) for x in (p * t, p, t))
-    return ContactScores(hits / ps, hits / ts, 2 * hits / (ps + ts), (p == t).double().mean((-1, -2)))
+    return 2 * (p * t).sum((-1, -2)) / (p + t).sum((-1, -2))
 
 
 # ------------------------------------------------------------------------------------------------------ sets of motions
@@ -267,20 +258,6 @@ def frechet(generated: Tensor, real: Tensor) -> float:
     return max(0.0, (apart + cov.trace() + other.trace() - 2 * shared).item())
 
 
-class Precision(NamedTuple):
-    """Shares in 0..1 of samples that lie on the other set's manifold."""
-
-    precision: float  #: of the generated, how many lie among the real
-    recall: float  #: of the real, how many lie among the generated
-
-
-class Coverage(NamedTuple):
-    """Fidelity and variety by the manifold of the real samples alone."""
-
-    density: float  #: neighbourhoods that a generated sample lies in, over k: about 1 for equal sets, may exceed 1
-    coverage: float  #: share in 0..1 of the real neighbourhoods that hold some generated sample
-
-
 def _neighbour_radii(x: Tensor, k: int) -> Tensor:
     """Distance (N,) of each sample to its k-th nearest other one of the same set (N, D).
 
@@ -297,8 +274,9 @@ def _distances(x: Tensor, y: Tensor) -> Tensor:
     return torch.cdist(x, y, compute_mode="donot_use_mm_for_euclid_dist")
 
 
-def precision_recall(generated: Tensor, real: Tensor, k: int = 3) -> Precision:
-    """Computes precision and recall: the share of each set inside the other's balls, to the k-th nearest neighbour.
+def precision_recall(generated: Tensor, real: Tensor, k: int = 3) -> tuple[float, float]:
+    """Computes precision and recall: the share of the generated and of the real samples inside the other set's balls,
+    to the k-th nearest neighbour.
 
     Compare numbers only at equal sizes: a larger set covers more. MDM takes the first min(N, M) of each.
 
@@ -310,15 +288,15 @@ def precision_recall(generated: Tensor, real: Tensor, k: int = 3) -> Precision:
     between = _distances(x, y)
     on_real = (between <= _neighbour_radii(y, k)).any(1)
     on_generated = (between <= _neighbour_radii(x, k)[:, None]).any(0)
-    return Precision(on_real.double().mean().item(), on_generated.double().mean().item())
+    return on_real.double().mean().item(), on_generated.double().mean().item()
 
 
-def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
+def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> tuple[float, float]:
     """Computes density and coverage: how many generated samples real neighbourhoods hold, and how many hold any.
 
     density = 1 / (k N) sum_ij [g_i in B(r_j)], coverage = 1 / M sum_j [some g_i in B(r_j)], where B(r_j) is the open
     ball that reaches the k-th nearest other real sample. An outlier among the generated has no ball of its own, so
-    it cannot add to either.
+    it cannot add to either. Of equal sets density is about 1, and may exceed it.
 
     Source: Naeem et al. 2020, with their k = 5.
     Raises:
@@ -326,7 +304,7 @@ def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> Coverage:
     """
     x, y = _checked(generated, real)
     inside = _distances(x, y) < _neighbour_radii(y, k)
-    return Coverage(inside.sum().item() / (k * len(x)), inside.any(0).double().mean().item())
+    return inside.sum().item() / (k * len(x)), inside.any(0).double().mean().item()
 
 
 # ------------------------------------------------------------------------------------------------------------ intervals

@@ -140,14 +140,11 @@ def test_slides_are_in_millimetres_per_frame(generator):
     assert metrics.slide_where_truth_stands_mm(slide[:, :1], 10 * slide[:, :1]).isnan()
 
 
-def test_contact_scores_by_hand():
+def test_the_f1_of_contacts_by_hand():
     truth = torch.tensor([[1, 1, 0, 0], [1, 0, 0, 0]])
     predicted = torch.tensor([[1, 0, 1, 0], [1, 0, 0, 0]])
-    scores = metrics.contact_scores(predicted, truth)
-    torch.testing.assert_close(torch.stack(scores), torch.tensor([2 / 3, 2 / 3, 2 / 3, 6 / 8], dtype=F64))
-    nothing = metrics.contact_scores(0 * predicted, 0 * truth)
-    assert torch.stack(nothing[:3]).isnan().all() and nothing.accuracy == 1
-    assert metrics.contact_scores(0 * predicted, truth).recall == 0
+    assert metrics.contact_f1(predicted, truth).item() == pytest.approx(2 / 3)
+    assert metrics.contact_f1(0 * predicted, 0 * truth).isnan() and metrics.contact_f1(0 * predicted, truth) == 0
 
 
 def test_wrong_names_and_shapes_other_than_the_truths_are_refused(generator):

@@ -94,7 +94,7 @@ def measures(p: Tensor, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
     return {
         "all cm": CM * metrics.mpjpe(p, t, align="none"), "visible cm": CM * seen, "hidden cm": CM * hidden,
         "acceleration error m/s^2": metrics.acceleration_error(p, t, truth.fps),
-        "contact F1": metrics.contact_scores(touching, truth.contacts).f1,
+        "contact F1": metrics.contact_f1(touching, truth.contacts),
         "slide mm": metrics.slide_where_truth_stands_mm(p[..., feet, :], t[..., feet, :]),
     }  # fmt: skip
 

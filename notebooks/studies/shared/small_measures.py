@@ -88,8 +88,8 @@ def described(made: Motion, real: Motion | None = None) -> dict[str, float]:
         features = motion_encoder("features_real")
         x, y = features(made), features(real)
         found |= {
-            "coverage": metrics.density_coverage(x, y).coverage, "frechet": metrics.frechet(x, y),
-            "recall": metrics.precision_recall(x, y).recall,
+            "coverage": metrics.density_coverage(x, y)[1], "frechet": metrics.frechet(x, y),
+            "recall": metrics.precision_recall(x, y)[1],
         }  # fmt: skip
     return {name: float(f"{float(value):.5g}") for name, value in found.items()}
 
