@@ -133,18 +133,17 @@ def _with_root(joints: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Case:
-    """A mask for so many windows, the joints whose error counts (None: all), and whether it has edges in time."""
+    """A mask for so many windows, and the joints whose error counts (None: all)."""
 
     mask: Callable[[int], Tensor]
     joints: tuple[str, ...] | None = None
-    edges: bool = False
 
 
 CASES: Mapping[str, Case] = {
     "legs hidden": Case(lambda n: legs(n, FRAMES), LOWER),
-    "gap of 30 frames": Case(lambda n: gap(n, FRAMES, 30), edges=True),
-    "gap of 45 frames": Case(lambda n: gap(n, FRAMES, 45), edges=True),
-    "every 15th frame": Case(lambda n: keys(n, FRAMES, 15), edges=True),
+    "gap of 30 frames": Case(lambda n: gap(n, FRAMES, 30)),
+    "gap of 45 frames": Case(lambda n: gap(n, FRAMES, 45)),
+    "every 15th frame": Case(lambda n: keys(n, FRAMES, 15)),
     "half of the joints": Case(lambda n: whole_window(n, FRAMES, 0.5, torch.Generator().manual_seed(7))),
     "a quarter of the joints": Case(lambda n: whole_window(n, FRAMES, 0.25, torch.Generator().manual_seed(7))),
 }

@@ -28,19 +28,17 @@ class WeightReport(NamedTuple):
     small: int  #: how many they are
     share_of_nonzero: float  #: of the weights above 0
     share_of_all: float  #: of all V times J: the other reading of the thesis's 3 %
-    vertices: float  #: share of vertices that carry one
 
 
 def weight_report(body: BodyModel, threshold: float = SMALL) -> WeightReport:
-    """Counts a body's weights above 0 and below ``threshold``: how many, which shares, and how many vertices carry one.
+    """Counts a body's weights above 0 and below ``threshold``: how many, and which shares.
 
     Source: thesis 3.3.2 (3 % of SMPL's weights are non-zero but below 1e-2).
     """
     present = body.weights > 0
     small = present & (body.weights < threshold)
     count = int(small.sum())
-    vertices = float(small.any(1).double().mean())
-    return WeightReport(count, count / int(present.sum()), count / small.numel(), vertices)
+    return WeightReport(count, count / int(present.sum()), count / small.numel())
 
 
 def surface_distance(body: BodyModel) -> Tensor:

@@ -22,9 +22,10 @@ Scores = dict[str, Tensor]  # measure -> (N,) of windows, NaN where it was not m
 
 @dataclass(frozen=True, eq=False)
 class Asked(Case):
-    """several: there is more than one answer, so that draws are worth their time. scattered: every window has a mask
-    of its own."""
+    """edges: it has some in time. several: there is more than one answer, so that draws are worth their time.
+    scattered: every window has a mask of its own."""
 
+    edges: bool = False
     several: bool = False
     scattered: bool = False
 

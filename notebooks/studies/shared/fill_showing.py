@@ -34,7 +34,7 @@ def asked_of(what: str, seconds: float) -> Case:
     """What a person hides: "legs", or "gap" of so many seconds in the middle."""
     if what == "legs":
         return Case(lambda n: bench.legs(n, FRAMES), bench.LOWER)
-    return Case(lambda n: bench.gap(n, FRAMES, min(round(30 * seconds), FRAMES - 2)), edges=True)
+    return Case(lambda n: bench.gap(n, FRAMES, min(round(30 * seconds), FRAMES - 2)))
 
 
 def filled(m: Models, window: PersonWindows, case: Case, seed: int) -> tuple[dict[str, Motion], dict[str, float]]:
