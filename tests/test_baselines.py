@@ -58,8 +58,9 @@ def test_nothing_known_and_wrong_masks_are_refused(generator):
     motion = swinging(generator, frames=6)
     with pytest.raises(ShapeError, match="no frame"):
         baselines.interpolate(motion, torch.zeros(6))
-    with pytest.raises(ShapeError, match="expected"):
-        baselines.interpolate(motion, torch.ones(5))
+    for wrong in (torch.ones(5), torch.ones(6, 21), torch.ones(2, 6, 22), torch.ones(())):
+        with pytest.raises(ShapeError, match="expected"):
+            baselines.interpolate(motion, wrong)
 
 
 def test_a_mask_says_by_its_axes_whether_it_hides_frames_or_joints(generator):
