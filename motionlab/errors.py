@@ -24,7 +24,6 @@ class MissingData(FileNotFoundError):
     """Data or software that the caller must fetch first; the message says how to get it."""
 
     def __init__(self, what: str, how_to_get: str = "") -> None:
-        self.how_to_get = how_to_get
         # Python makes what comes out of another process again, from its message alone
         super().__init__(f"{what} is missing. {how_to_get}" if how_to_get else what)
 

@@ -18,7 +18,7 @@ from motionlab.contact import with_contacts
 from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
 from motionlab.io import bvh, gltf, smpl
-from motionlab.metrics.pose import acceleration
+from motionlab.metrics import acceleration
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 

@@ -14,7 +14,7 @@ from motionlab.diffusion import encoder
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import Frame, local_to_world
-from motionlab.metrics.generation import frechet
+from motionlab.metrics import frechet
 from motionlab.motion import mirror
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD

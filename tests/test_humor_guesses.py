@@ -13,7 +13,7 @@ from motionlab.footage.fit import landmarks_of
 from motionlab.humor import evidence, pretrained, start, testops, unknowns
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.stages import Problem
-from motionlab.metrics.gait import tilt_and_bend
+from motionlab.metrics import tilt_and_bend
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D, look_at, project
 from motionlab.skeleton import STANDARD

@@ -9,12 +9,12 @@ import jinja2
 import numpy as np
 from torch import Tensor
 
+from motionlab import metrics
 from motionlab.footage.scene_fit import USED, SceneFit
 from motionlab.humor import body_shape
 from motionlab.humor.evidence import FEET_SEEN, feet_seen
 from motionlab.humor.start import above_floor
 from motionlab.humor.testops import MAX_LATENT_CHI2, MISFIT_WIDTH
-from motionlab.metrics import pose
 from motionlab.motion import runs
 from motionlab.observation import BODY_25
 from motionlab.skeleton import FEET
@@ -50,7 +50,7 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
         "latent_chi2": latent_chi2 if np.isfinite(latent_chi2) else None,
         "doubtful": not (latent_chi2 <= MAX_LATENT_CHI2 and rms <= MISFIT_WIDTH * fitted.camera.width),
         "bounds": {"latent_chi2": MAX_LATENT_CHI2, "rms": MISFIT_WIDTH * fitted.camera.width},
-        "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
+        "acceleration": float(metrics.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
         "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
         "contacts_by_time": {name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
                              for n, name in enumerate(motion.skeleton.contact_names) if name in FEET},

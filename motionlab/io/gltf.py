@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.body import BodyModel, tailored
+from motionlab.body import BodyModel, tailored, vertex_normals
 from motionlab.errors import ShapeError
 from motionlab.files import write_whole
 from motionlab.io import judging
@@ -482,7 +482,7 @@ def _mesh(file: _Buffer, name: str, body: BodyModel) -> None:
     """
     template, faces, nodes = body.template.detach().cpu().double(), body.faces.cpu(), file.content["nodes"]
     attributes = {"POSITION": file.add(template, "f4", _VERTICES, bounds=True)}
-    attributes["NORMAL"] = file.add(_normals(template, faces), "f4", _VERTICES)
+    attributes["NORMAL"] = file.add(vertex_normals(template, faces), "f4", _VERTICES)
     joints = body.weights.shape[1]
     most = body.weights.detach().cpu().double().topk(min(4, joints), dim=1)
     share, which = (torch.nn.functional.pad(x, (0, 4 - x.shape[1])) for x in most)
@@ -498,12 +498,3 @@ def _mesh(file: _Buffer, name: str, body: BodyModel) -> None:
     nodes.append({"name": f"{name} body", "mesh": len(meshes), "skin": len(file.content["skins"]) - 1})
     primitive = {"attributes": attributes, "indices": indices, "material": 0}
     meshes.append({"name": f"{name} body", "primitives": [primitive]})
-
-
-def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit vertex normals (V, 3), area weighted; y where a vertex has no face."""
-    a, b, c = vertices[faces].unbind(1)
-    face = torch.linalg.cross(b - a, c - a, dim=-1)
-    total = torch.zeros_like(vertices).index_add_(0, faces.reshape(-1), face.repeat_interleave(3, 0))
-    length = total.norm(dim=-1, keepdim=True)
-    return torch.where(length > 0, total / length, torch.tensor([0.0, 1.0, 0.0]).to(total))

@@ -20,11 +20,9 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from motionlab import checkpoint, corpus, splits
+from motionlab import bench, checkpoint, corpus, splits
 from motionlab.baselines import Noise, denoised
-from motionlab.bench import cases
-from motionlab.bench.cases import PersonWindows, by_person, person_windows
-from motionlab.bench.judge import CASES, FRAMES, judged
+from motionlab.bench import CASES, FRAMES, PersonWindows, by_person, judged, person_windows
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion import completer, features
@@ -158,7 +156,7 @@ def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
         noise = Noise.of(degrees, cm)
         rough = with_contacts(denoised(noise.on(motion, torch.Generator().manual_seed(0)), noise))
         made = model.complete(rough, nothing, tremble=noise.turn)
-        mine, alone = (float(by_person(cases.error_cm(m, motion, nothing), whose).mean()) for m in (made, rough))
+        mine, alone = (float(by_person(bench.error_cm(m, motion, nothing), whose).mean()) for m in (made, rough))
         title = f"noise of {degrees:g} degrees, {cm:g} cm"
         row |= {f"{title}, cm": mine, f"{title}, smoother alone, cm": alone}
         left.append(mine)

@@ -11,8 +11,7 @@ from torch import Tensor
 from motionlab.humor.priors import Cvae, kl
 from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.humor.state import apply, bone_lengths, globalise, heading, localise, transition_pairs, unpack
-from motionlab.metrics.gait import contact_scores
-from motionlab.metrics.pose import masked_mean, mean_acceleration
+from motionlab.metrics import contact_f1, masked_mean, mean_acceleration
 from motionlab.motion import FPS
 from motionlab.skeleton import BALLS, STANDARD
 
@@ -95,7 +94,7 @@ def _contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> tuple[float, f
     _, logits = apply(past, model.decode(past, model.posterior(past, now).mean))
     truth = contacts[:, 1:].flatten(0, 1)
     guesses = (logits > 0).float(), contacts[:, :-1].flatten(0, 1)
-    return tuple(float(contact_scores(guess, truth).f1) for guess in guesses)
+    return tuple(float(contact_f1(guess, truth)) for guess in guesses)
 
 
 @torch.no_grad()

@@ -16,7 +16,7 @@ from motionlab.corpus import Take
 from motionlab.humor import state
 from motionlab.humor.priors import Cvae
 from motionlab.humor.rollout import sample_rollout
-from motionlab.metrics.gait import SEATED, tilt_and_bend
+from motionlab.metrics import SEATED, tilt_and_bend
 from motionlab.motion import FPS, Motion
 from motionlab.training.courses import person_states
 from motionlab.training.quality import quality_row

@@ -14,7 +14,7 @@ from data_synth import corrupt, scenes
 from data_synth.actions import ACTIONS
 from data_synth.scenes import Scene
 from motionlab.corpus import Take
-from motionlab.metrics.gait import SEATED, tilt_and_bend
+from motionlab.metrics import SEATED, tilt_and_bend
 from motionlab.motion import Motion
 from studies.shared import clips
 from studies.shared.clips import FRAMES, stacked

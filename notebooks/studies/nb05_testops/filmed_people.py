@@ -10,7 +10,7 @@ from torch import Tensor
 
 from data_synth import scenes
 from data_synth.scenes import Scene
-from motionlab.bench.cases import by_person
+from motionlab.bench import by_person
 from motionlab.motion import Motion
 from studies.nb05_testops.cast import everyday
 from studies.shared.clips import takes

@@ -18,7 +18,7 @@ from motionlab.humor.energies import RGB, RGB_LIGHT
 from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule, fit
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 from motionlab.motion import Motion
 from motionlab.viz.palette import INK, LINE, colour
 from studies.nb05_testops import trials

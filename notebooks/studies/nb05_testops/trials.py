@@ -10,12 +10,11 @@ from torch import Tensor
 
 from data_synth.legs import two_bone
 from data_synth.scenes import Scene
-from motionlab import rotation
+from motionlab import metrics, rotation
 from motionlab.baselines import smoothed
 from motionlab.humor.energies import RGB, Weights
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera
 from motionlab.parallel import run_jobs
@@ -75,12 +74,12 @@ def scores(motion: Motion, truth: Motion) -> dict[str, Tensor]:
     "acceleration": error in m/s^2.
     """
     p, t = motion.positions, truth.positions
-    error = pose.joint_errors(p, t, align="root")
+    error = metrics.joint_errors(p, t, align="root")
     return {
         "all": CM * error.mean((-1, -2)),
-        "legs": CM * error[..., gait.legs(motion)].mean((-1, -2)),
-        "world": CM * pose.mpjpe(p, t, align="none"),
-        "acceleration": pose.acceleration_error(p, t, truth.fps),
+        "legs": CM * error[..., metrics.legs(motion)].mean((-1, -2)),
+        "world": CM * metrics.mpjpe(p, t, align="none"),
+        "acceleration": metrics.acceleration_error(p, t, truth.fps),
     }
 
 
@@ -140,7 +139,7 @@ def on_the_floor(motion: Motion) -> Motion:
     What a floor alone does for stage 2: the pelvis stays, the foot keeps its direction.
     """
     sole, rot, (points, turns) = 0.09, motion.rot.clone(), motion.world
-    for side in gait.SIDES:
+    for side in metrics.SIDES:
         hip, knee, ankle = motion.skeleton.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle")])
         target = points[..., ankle, :].clone()
         target[..., 2] = target[..., 2].clamp(min=sole)

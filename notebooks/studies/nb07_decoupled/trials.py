@@ -17,8 +17,8 @@ from torch import Tensor
 
 from data_synth import scenes
 from data_synth.scenes import Scene
-from motionlab import corpus, splits
-from motionlab.bench.cases import person_windows
+from motionlab import corpus, metrics, splits
+from motionlab.bench import person_windows
 from motionlab.humor import state, testops
 from motionlab.humor.energies import JOINTS, RGB_LIGHT
 from motionlab.humor.evidence import Observation2D, Observation3D, evidence
@@ -27,7 +27,6 @@ from motionlab.humor.rollout import decode_ahead, infer, rollout
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import motion_of
-from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from studies.nb07_decoupled.energy import Unknown, posed, prior_of, rolled_out, to_persistent, to_states
 from studies.nb07_decoupled.search import Found, Plan, search
@@ -121,9 +120,9 @@ def judged(known: Case, unknown: Unknown, frames: int | None = None) -> dict[str
     x, rolled = motions(known, unknown).values()
     end = torch.zeros(rolled.root.shape[:-1], dtype=torch.bool)
     end[:, -10:] = True
-    found = energy(known, unknown) | {"gap": 100 * pose.mpjpe(x.positions, rolled.positions, align="none")}
+    found = energy(known, unknown) | {"gap": 100 * metrics.mpjpe(x.positions, rolled.positions, align="none")}
     for name, motion in (("", rolled), ("x ", x)):
-        found[f"{name}error"] = 100 * pose.mpjpe(motion.positions, known.truth.positions, align="none")
+        found[f"{name}error"] = 100 * metrics.mpjpe(motion.positions, known.truth.positions, align="none")
         found[f"{name}legs"] = legs(known, motion)
         found[f"{name}sits"] = seated(motion, end).double()
     return found | {"first legs": legs(known, x, frames)}
@@ -131,8 +130,8 @@ def judged(known: Case, unknown: Unknown, frames: int | None = None) -> dict[str
 
 def legs(known: Case, motion: Motion, frames: int | None = None) -> Tensor:
     """Error (B,) in cm of knees, ankles and feet, pelvis on the true one, over the first ``frames`` or all."""
-    error = pose.joint_errors(motion.positions, known.truth.positions, align="root")
-    return 100 * error[:, :frames, gait.legs(known.truth)].mean((-1, -2))
+    error = metrics.joint_errors(motion.positions, known.truth.positions, align="root")
+    return 100 * error[:, :frames, metrics.legs(known.truth)].mean((-1, -2))
 
 
 def found_again(
@@ -169,7 +168,7 @@ def flexion(known: Case, z: Tensor) -> Tensor:
     skeleton, fps, states = known.stage_2.skeleton, known.truth.fps, to_states(known.start["x"])
     with torch.no_grad():
         after = decode_ahead(known.problem.priors.motion, states[:, :-1], z)
-    before, after = (gait.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
+    before, after = (metrics.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
     return (after - before).mean(-1).sum(-1)
 
 
