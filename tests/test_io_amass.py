@@ -1,6 +1,8 @@
 import gzip
 import io as bytes_io
 import pickle
+import re
+import zipfile
 import zlib
 from dataclasses import replace
 
@@ -197,6 +199,15 @@ def test_arrays_of_numpy_in_a_file_of_torch(tmp_path, new):
     body = {"global_orient": turns[:, :3], "body_pose": turns[:, 3:], "transl": trans, "fps": np.float64(30)}
     torch.save({"smpl_params_global": body}, tmp_path / "a.pt", _use_new_zipfile_serialization=new)
     torch.testing.assert_close(io.load(tmp_path / "a.pt").rot, results.person().rot, atol=2e-6, rtol=0)
+
+
+def test_a_damaged_kind_of_numbers_in_a_file_of_torch_ends_no_interpreter(tmp_path):
+    """numpy's dtype would, where it is told so little of itself."""
+    torch.save({"pose_world": np.zeros((2, 72)), "trans_world": np.zeros((2, 3))}, stream := bytes_io.BytesIO())
+    with zipfile.ZipFile(stream) as archive, zipfile.ZipFile(tmp_path / "a.pt", "w") as damaged:
+        for name in archive.namelist():
+            damaged.writestr(name, re.sub(rb"<q.NNN", b"<N", archive.read(name), count=1))
+    assert io.load(tmp_path / "a.pt").frames == 2
 
 
 class Hostile:

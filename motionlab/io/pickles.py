@@ -5,11 +5,11 @@ it, arrays are then rebuilt from those records by this module, and a name outsid
 tensors, plain containers, what a body of SMPL holds) is refused before anything is built.
 """
 
-import codecs
 import io
 import math
 import pickle
 import re
+import zipfile
 import zlib
 from collections.abc import Iterable
 
@@ -34,13 +34,34 @@ def read_pickle(at: Location, data: bytes) -> object:
     if data[:1] == b"x" or data[:2] == b"\x1f\x8b":  # zlib and gzip, in which joblib packs
         data = zlib.decompressobj(_EITHER).decompress(data, LARGEST)
     if data[:2] == b"PK" or data.startswith(_LEGACY):
-        with torch.serialization.safe_globals(_OF_NUMPY):
-            try:
-                return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-            except pickle.UnpicklingError as error:  # whose message advises to run it
-                asked = ", ".join(re.findall(r"GLOBAL (\S+)", str(error)))
-                raise _refused(at, asked or "an instruction of another protocol") from error
-    return _Reader(at, data).load()
+        return _of_torch(at, data)
+    reader = _Reader(at, data)
+    tree = reader.load()
+    if reader.storages:
+        raise _refused(at, "what lies outside of it")
+    return tree
+
+
+def _of_torch(at: Location, data: bytes) -> object:
+    """Reads what torch.save wrote: a pickle, and what its tensors store, as files beside it in a zip or, before torch
+    1.6, behind it. Not by torch, which numpy can crash when it rebuilds a damaged array."""
+    if data[:2] == b"PK":
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            sizes = {member.filename: member.file_size for member in archive.infolist()}
+            folder = next(name for name in sizes if name.endswith("data.pkl")).removesuffix("data.pkl")
+            if max(sizes.values()) > LARGEST:
+                raise at.error(f"{max(sizes.values())} bytes are more than {LARGEST}")
+            reader = _Reader(at, archive.read(f"{folder}data.pkl"))
+            tree = reader.load()
+            for key, storage in reader.storages.items():
+                storage.state = archive.read(f"{folder}data/{key}")
+            return tree
+    reader = _Reader(at, data)
+    *_, tree, keys = (reader.load() for _ in range(5))  # behind a number, a version, and sizes of the machine's types
+    for key in keys:
+        (kind,), count = reader.storages[key].args, int.from_bytes(reader.stream.read(8), "little")
+        reader.storages[key].state = reader.stream.read(kind.itemsize * count)
+    return tree
 
 
 def first_object(at: Location, data: bytes) -> object:
@@ -56,13 +77,6 @@ def _refused(at: Location, asked: str) -> Exception:
     remedy = "do not trust this file; save plain arrays with numpy.savez"
     return at.error(message, place="pickle", remedy=remedy)
 
-
-#: What torch may build beside tensors, by the names that any version of numpy gave it.
-_OF_NUMPY = [
-    *((getattr(np._core.multiarray, name), f"{core}.multiarray.{name}")
-      for name in ("_reconstruct", "scalar") for core in ("numpy.core", "numpy._core")),
-    np.ndarray, np.dtype, codecs.encode, *{type(np.dtype(kind)) for kind in "?bBhHiIlLefd"},
-]  # fmt: skip
 
 _EITHER = 32 + zlib.MAX_WBITS  # for zlib: a header of its own or of gzip
 _LEGACY = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."  # how files of torch before its version 1.6 begin
@@ -95,8 +109,13 @@ _BUILT = {
     **{name: _record(name) for name in (
         "builtins.object", "builtins.set", "numpy._core.multiarray._reconstruct", "numpy._core.multiarray.scalar",
         "numpy._core.numeric._frombuffer", "numpy.ndarray", "numpy.dtype", "torch._utils._rebuild_tensor_v2",
-        "torch.storage._load_from_bytes", "joblib.numpy_pickle.NumpyArrayWrapper",
+        "torch._utils._rebuild_parameter", "torch.storage._load_from_bytes", "joblib.numpy_pickle.NumpyArrayWrapper",
     )},
+    "torch.Size": tuple,
+    **{f"torch.{name}Storage": kind for name, kind in {
+        "Double": torch.float64, "Float": torch.float32, "Half": torch.float16, "Long": torch.int64, "Int": torch.int32,
+        "Short": torch.int16, "Char": torch.int8, "Byte": torch.uint8, "Bool": torch.bool,
+    }.items()},
 }  # fmt: skip
 _SPARSE = re.compile(r"scipy\.sparse\.(?:_?(?:csc|csr|coo)\.)?(csc|csr|coo)_(?:matrix|array)")
 _CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
@@ -104,7 +123,7 @@ _CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
 
 class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memory than there is file
     def __init__(self, at: Location, data: bytes) -> None:
-        self.stream = io.BytesIO(data)
+        self.stream, self.storages = io.BytesIO(data), {}
         super().__init__(self.stream, encoding="latin1")
         self.at, self.dispatch = at, pickle._Unpickler.dispatch | {pickle.BUILD[0]: _Reader.load_build}
 
@@ -118,8 +137,16 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
             return _record("chumpy")
         raise _refused(self.at, f"{module}.{name}")
 
+    def persistent_load(self, what: tuple) -> _Record:
+        word, kind, key, *_ = what
+        if word != "storage" or not isinstance(kind, torch.dtype):
+            raise _refused(self.at, f"what it calls {word}")
+        return self.storages.setdefault(key, _record("storage")(kind))
+
     def load_build(self) -> None:
         state, record = self.stack.pop(), self.stack[-1]
+        if isinstance(record, dict):  # what a state_dict says beside its tensors
+            return
         if not isinstance(record, _Record):  # a function of this module would take what it is told
             raise self.at.error("sets the state of what is no array", place="pickle")
         record.state = state
@@ -150,8 +177,6 @@ def array_of(at: Location, value: object) -> np.ndarray:
         return np.asarray([array_of(at, each) if isinstance(each, _Record) else each for each in value])
     if isinstance(value, int | float | np.ndarray):
         return np.asarray(value)
-    if isinstance(value, torch.Tensor):
-        return value.detach().cpu().numpy()
     if not isinstance(value, _Record):
         raise at.error(f"holds a {type(value).__name__}, expected an array")
     state = value.state
@@ -171,10 +196,15 @@ def array_of(at: Location, value: object) -> np.ndarray:
             picked = array_of(at, state["a"]).ravel()[array_of(at, state["idxs"]).ravel()]
             shape = state.get("preferred_shape")
             return picked if shape is None else picked.reshape(_shape(at, shape))
-    if value.name == "_rebuild_tensor_v2" and getattr(value.args[0], "name", "") == "_load_from_bytes":
-        storage = torch.load(io.BytesIO(value.args[0].args[0]), map_location="cpu", weights_only=True)
-        whole = torch.empty(0, dtype=storage.dtype)
-        return whole.set_(storage._untyped_storage, *value.args[1:4]).numpy().copy()
+    if value.name == "_rebuild_parameter":
+        return array_of(at, value.args[0])
+    if value.name == "_rebuild_tensor_v2":
+        stored, offset, size, stride = value.args[:4]
+        stored = _of_torch(at, *stored.args) if stored.name == "_load_from_bytes" else stored
+        whole = torch.frombuffer(bytearray(stored.state), dtype=stored.args[0]) if stored.state else torch.empty(0)
+        if math.prod(size) > LARGEST // 8:
+            raise at.error(f"a tensor of shape {tuple(size)}")
+        return whole.as_strided(size, stride, offset).numpy().copy()
     raise at.error(f"holds a {value.name} object without an array in it")
 
 
