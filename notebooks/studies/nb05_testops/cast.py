@@ -5,7 +5,7 @@ Where something happens in a clip (somebody sits down), the moment is drawn, not
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -26,28 +26,14 @@ _MOMENT = 10  # frames over which somebody must stand, or sit
 _DEEP = 0.2  # metres that the pelvis sinks of somebody who crouches
 _OVER_FEET = 0.05  # metres that the trunk of somebody who crouches is behind the feet, at most
 
-
-@dataclass(frozen=True, eq=False)
-class Cast:
-    """Clips (T,) of equal length, and who is in each."""
-
-    motions: tuple[Motion, ...]
-    people: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.motions)
-
-
-def everyday(some: Sequence[Take], count: int) -> Cast:
-    """Returns ``count`` clips of whatever people do, as evenly over people as can be."""
-    return _cast(clips.everyday(some, count))
+Cast = list[tuple[str, Motion]]  # who it is, and the clip (T,); all are as long
 
 
 def who(some: Sequence[Take], fits: Fits, each: int, most: int, seed: int, words: str = "") -> Cast:
     """Returns clips that begin where ``fits`` (starts,) is true, as ``clips.begun``. words: what a take's description
     must match."""
     told = [take for take in some if re.search(words, take.said, re.IGNORECASE)]
-    return _cast(clips.begun(told, fits, torch.Generator().manual_seed(seed), each, most))
+    return clips.begun(told, fits, torch.Generator().manual_seed(seed), each, most)
 
 
 def acted(action: str, fits: Fits, count: int, seed: int, **options) -> Cast:
@@ -61,11 +47,7 @@ def acted(action: str, fits: Fits, count: int, seed: int, **options) -> Cast:
             at = int(starts[torch.randint(len(starts), (), generator=generator)])
             cast.append((f"stranger {index}", motion.cut(at, at + FRAMES)))
         index += 1
-    return _cast(cast)
-
-
-def _cast(pairs: Sequence[tuple[str, Motion]]) -> Cast:
-    return Cast(tuple(replace(m, name="") for _, m in pairs), tuple(person for person, _ in pairs))
+    return cast
 
 
 # ------------------------------------------------------------------------------------------------- what a clip shows

@@ -12,8 +12,7 @@ from data_synth import scenes
 from data_synth.scenes import Scene
 from motionlab.bench.cases import by_person
 from motionlab.motion import Motion
-from studies.nb05_testops.cast import everyday
-from studies.shared.clips import takes
+from studies.shared.clips import everyday, takes
 
 
 class People(NamedTuple):
@@ -43,8 +42,8 @@ def recorded(folder: Path | str, part: str, count: int, frames: int) -> People:
     """Returns clips of the people of one part of CMU's recordings, "val" or "test", evenly over people; of each
     the first frames."""
     cast = everyday(takes(folder, part), count)
-    motions, names = tuple(m.cut(0, frames) for m in cast.motions), sorted(set(cast.people))
-    return People(scenes.together(motions), torch.tensor([names.index(who) for who in cast.people]), motions)
+    motions, names = tuple(m.cut(0, frames) for _, m in cast), sorted({who for who, _ in cast})
+    return People(scenes.together(motions), torch.tensor([names.index(who) for who, _ in cast]), motions)
 
 
 def sources(
