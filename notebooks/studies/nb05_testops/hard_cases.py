@@ -15,7 +15,7 @@ from data_synth.scenes import Scene
 from motionlab.contact import with_contacts
 from motionlab.footage.fit import landmarks_of
 from motionlab.humor.energies import RGB_LIGHT, Weights
-from motionlab.metrics import gait
+from motionlab.metrics import gait, pose
 from motionlab.metrics.intervals import Paired, paired
 from motionlab.motion import Motion
 from studies.nb05_testops import cast as clips_of
@@ -193,8 +193,8 @@ def swings(
 
 def lateness(ways: Mapping[str, Motion], truth: Motion) -> dict[str, tuple[Tensor, Tensor, Tensor]]:
     """Computes by way the error over time (B, T) in cm, and its means (B,) over the first and the last quarter."""
-    curves = {way: 100 * measures.error_over_time(motion, truth) for way, motion in ways.items()}
-    return {way: (curve, *measures.quarters(curve)) for way, curve in curves.items()}
+    off = {way: pose.joint_errors(motion.positions, truth.positions, align="root") for way, motion in ways.items()}
+    return {way: (100 * x.mean(-1), *measures.quarters(100 * x.mean(-1))) for way, x in off.items()}
 
 
 def panels(truth: Motion, fits: Mapping[str, Motion], index: int = 0) -> dict[str, Motion]:

@@ -178,8 +178,3 @@ def duels(sources: Mapping[str, object]) -> list[tuple[str, str, str, str]]:
     kinds = [*((noise, "polish", two) for two in twos), (noise, "smoothing", "best filter")]
     kinds += [(hidden, "hidden", two) for two in twos]
     return [(source, *kind) for source in sources for kind in kinds]
-
-
-def pairs(sources: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Returns every source with every test."""
-    return list(product(sources, TESTS))

@@ -18,7 +18,7 @@ from motionlab.humor.testops import Schedule, fit
 from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.parallel import run_jobs
-from studies.nb05_testops.measures import CM, error_over_time
+from studies.nb05_testops.measures import CM
 from studies.nb05_testops.tuning import Choice
 from studies.shared.clips import part, stacked
 
@@ -141,7 +141,7 @@ def later_error(fit: Motion, truth: Motion, gap: Sequence[int]) -> tuple[Tensor,
 
     Before is NaN where nothing comes before.
     """
-    error = CM * error_over_time(fit, truth, align="none")
+    error = CM * pose.joint_errors(fit.positions, truth.positions, align="none").mean(-1)
     last = max(gap) + 1
     after = error[..., last:] if last < error.shape[-1] else error[..., min(gap) :]
     return error[..., : min(gap)].mean(-1), after.mean(-1)
