@@ -71,7 +71,7 @@ def test_sequences_are_single_transitions_in_a_loop(kit, start):
 
 @pytest.mark.parametrize("steps", [1, 4, 23])
 def test_at_an_exact_roll_out_the_energy_is_that_of_stage_3(problem, exact, steps):
-    judged, _ = energy.rolled_out(problem, exact)
+    judged, _ = energy.whole(problem, exact)
     with torch.no_grad():
         found, _ = terms(problem, exact, Form(steps))
     assert (found.pop("consistency") < 0.02).all()  # a sum of 24 x 339 differences that are rounding
@@ -86,7 +86,7 @@ def test_control_off_the_roll_out_the_consistency_is_there(problem, start, exact
     assert (off > 100 * on).all()
 
 
-def test_rolled_out_is_stage_3_of_a_fit(kit, walk, camera):
+def test_a_whole_roll_out_is_stage_3_of_a_fit(kit, walk, camera):
     """The judge and ``stages.motion_terms`` say the same of the same first state and latents."""
     problem = Problem(evidence(keypoints(walk, camera), cameras=[camera] * 2), kit, RGB_LIGHT)
     states = state.from_motion(walk)
@@ -101,14 +101,14 @@ def test_rolled_out_is_stage_3_of_a_fit(kit, walk, camera):
     wanted = stages.motion_terms(problem, unknown)
     first = stages.unknowns.first_state(unknown, kit)
     x = to_persistent(torch.cat((first[:, None], states[:, 1:]), 1))
-    found, _ = energy.rolled_out(problem, {"x": x, "z": z, "betas": torch.zeros(2, 8)})
+    found, _ = energy.whole(problem, {"x": x, "z": z, "betas": torch.zeros(2, 8)})
     assert set(found) == set(wanted)
     for name, value in wanted.items():
         torch.testing.assert_close(found[name], value, atol=1e-3, rtol=1e-4)
 
 
 def test_the_energy_of_whole_roll_outs_is_the_judges_and_moves_the_first_state_alone(problem, start):
-    judged, _ = energy.rolled_out(problem, start)
+    judged, _ = energy.whole(problem, start)
     point = {n: x.clone().requires_grad_() for n, x in start.items()}
     found, decoded = terms(problem, point, Form(None))
     assert decoded.states.shape == (2, 1, *start["x"].shape[1:-1], 339)

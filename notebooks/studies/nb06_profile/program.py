@@ -104,11 +104,6 @@ def contenders(one: Workload, many: Workload) -> dict[str, tuple[Workload, Savin
     return {form: (one, on) for form, on in FORMS.items()} | batch
 
 
-def schedule(spent: Spent) -> list[dict[str, object]]:
-    """Lists the phases of a schedule."""
-    return [{"phase": p.name, "frames": p.part.frames, "closures at most": p.closures} for p in spent.phases]
-
-
 def minutes(spent: Spent) -> dict[str, dict[str, float]]:
     """Computes minutes of the schedule by phase and part, the two phases of stage 3 with all frames as one."""
     found: dict[str, dict[str, float]] = {}

@@ -158,12 +158,11 @@ class Log:
 @dataclass(frozen=True)
 class Single:
     """How single shooting searches: iterations of its three parts (the first 15 frames; all, the first state frozen,
-    without contacts; everything), pairs that L-BFGS remembers, the share of its own first energy that an iteration must
-    gain, and what share of the prior its start has. The default is that of ``testops.fit`` in lean mode."""
+    without contacts; everything), pairs that L-BFGS remembers, and what share of the prior its start has. The default
+    is that of ``testops.fit`` in lean mode."""
 
     iterations: tuple[int, int, int] = (20, 40, 660)
     memory: int = 100
-    tolerance: float = 1e-5
     eager: float = starts.DAMPING_ROLLOUT
 
 
@@ -198,7 +197,7 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
     point = {n: x.clone().requires_grad_() for n, x in new.items()}
     with torch.no_grad():
         begun = sum(stages.motion_terms(task.problem, old(point, slice(None)), **what).values())
-    enough = how.tolerance * begun.abs().nan_to_num(0.0, 0.0, 0.0)
+    enough = 1e-5 * begun.abs().nan_to_num(0.0, 0.0, 0.0)  # of its own first energy, as in ``testops.fit``
     fit = minimise_batch(energy, point, steps=1, inner=inner, memory=how.memory, tolerance_change=enough)
     return old(fit.variables, slice(None)).detached()
 
