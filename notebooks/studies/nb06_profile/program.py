@@ -98,12 +98,6 @@ class Bars:
 
 
 # ------------------------------------------------------------------------------------------------- the whole schedule
-def contenders(one: Workload, many: Workload) -> dict[str, tuple[Workload, Savings]]:
-    """Returns the two forms, of one clip and of a batch ("lean, batch")."""
-    batch = {f"{form}, batch": (many, on) for form, on in FORMS.items()}
-    return {form: (one, on) for form, on in FORMS.items()} | batch
-
-
 def minutes(spent: Spent) -> dict[str, dict[str, float]]:
     """Computes minutes of the schedule by phase and part, the two phases of stage 3 with all frames as one."""
     found: dict[str, dict[str, float]] = {}
