@@ -10,7 +10,7 @@ from motionlab import rotation
 from motionlab.humor.cvae import Cvae
 from motionlab.humor.state import SHAPES
 from motionlab.motion import velocity
-from studies.nb04_prior import controls, parity
+from studies.nb04_prior import parity
 from studies.official import rollout as official_rollout
 from studies.official import rotation as official_rotation
 from studies.shared import savings
@@ -99,9 +99,9 @@ def test_control_a_changed_epsilon_is_noticed(monkeypatch):
 
 def test_control_what_is_wrong_on_purpose_is_noticed():
     golden, model = parity.Golden(FOLDER), parity.seeded()
-    assert min(controls.errors(golden, model).values()) > 1e-2
-    assert controls.misfits(model, golden) == []
-    assert len(controls.misfits(Cvae(512), golden)) == 50
+    assert min(parity.broken(golden, model).values()) > 1e-2
+    assert parity.misfits(model, golden) == []
+    assert len(parity.misfits(Cvae(512), golden)) == 50
 
 
 def test_difference_is_relative_to_large_arrays_and_absolute_for_small_ones():
