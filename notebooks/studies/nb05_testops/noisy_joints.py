@@ -24,7 +24,7 @@ from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.skeleton import FEET, STANDARD, fk
 from studies.nb05_testops import tuning
-from studies.nb05_testops.filmed_people import People
+from studies.nb05_testops.cast import People
 from studies.nb05_testops.measures import CM
 from studies.shared import joints
 
