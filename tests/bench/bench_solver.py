@@ -52,8 +52,8 @@ def batches(kit: Priors, draw: torch.Generator) -> None:
         found = []
         for b in range(CLIPS):
             start = {"z": torch.zeros_like(z[[b]]).requires_grad_()}
-            alone = minimise(lambda v, b=b: misfit(v, [b]).sum(), start, max_closures=CLOSURES, steps=1, inner=40)
-            found.append(min(alone.history))
+            how = {"max_closures": CLOSURES, "steps": 1, "inner": 40}
+            found.append(min(minimise(lambda v, b=b: misfit(v, [b]).sum(), start, **how)[1]))
         return torch.tensor(found)
 
     begun = misfit({"z": torch.zeros_like(z)})
