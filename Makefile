@@ -24,7 +24,7 @@ help:
 	@echo "make records     what notebooks 08 and 14 read and takes hours: what is on record of this recipe is kept"
 	@echo "make small       the small models that notebooks 10, 13 and 15 compare, from MOTIONLAB_DATA (hours): rows are kept"
 	@echo "make train       pose prior, first states and features of recordings, in MOTIONLAB_DATA (hours)"
-	@echo "make bench       speed, as ratios measured in one run"
+	@echo "make bench       speed as ratios of one run; of fits and fills also where they end"
 	@echo "make doctor      what is installed, what is missing, and the remedy; how large each room is"
 
 notebooks: setup

@@ -98,6 +98,7 @@ def check_error(error: DataError, *words: str) -> None:
     assert error.path and error.place and error.remedy
     text = str(error)
     assert all(str(part) in text for part in (error.path, error.place, error.remedy))
+    assert "(DataError" not in text  # an error that says it all passes as it is
     for word in words:
         assert word in text
 

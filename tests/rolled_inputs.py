@@ -1,4 +1,4 @@
-"""Random small networks and states for tests of the roll-out, a naive twin of a transition, and the golden mixture."""
+"""Random small networks and states for tests of the roll-out, and the golden mixture."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.heading import Frame
 from motionlab.humor import state
 from motionlab.humor.cvae import Cvae, reorder
 from motionlab.humor.priors import InitGmm
-from motionlab.humor.shooting.gauss_newton import XI
-from motionlab.humor.state import ADDED
 
 F64 = torch.float64
 
@@ -54,47 +51,3 @@ def first_states(generator: torch.Generator, batch: int) -> Tensor:
     parts["root_orient"] = rotation.random((batch,), generator, dtype=F64)
     parts["pose_body"] = rotation.random((batch, 21), generator, dtype=F64)
     return state.pack(parts | {"joints": trans[:, None] + 0.5 * draw(22, 3)})
-
-
-def own(states: Tensor) -> Tensor:
-    """World states (..., 339) in their own heading frames."""
-    return state.localise(states, state.heading(states))
-
-
-def turned(x: Tensor, xi: Tensor) -> Tensor:
-    """States (..., 339) after a change (..., 207), rotations on their manifold."""
-    matrices = x[..., ADDED:].unflatten(-1, (22, 3, 3)).mT
-    after = rotation.exp(xi[..., ADDED:XI].unflatten(-1, (22, 3))) @ matrices
-    return torch.cat((x[..., :ADDED] + xi[..., :ADDED], after.mT.flatten(-3)), -1)
-
-
-def placed(frame: Frame, gamma: Tensor) -> Frame:
-    """The heading frame that stands turned by gamma[0], and moved by the rest in its own axes."""
-    way = torch.cat((gamma[..., 1:], torch.zeros_like(gamma[..., :1])), -1)
-    turn = rotation.rotation_about("z", -gamma[..., 0]) @ frame.turn
-    return Frame(turn, frame.shift - (frame.turn.mT @ way[..., None])[..., 0])
-
-
-def still(like: Tensor) -> Frame:
-    """The world's own frame, for each of some states."""
-    return Frame(torch.eye(3).to(like).expand(*like.shape[:-1], 3, 3), torch.zeros_like(like[..., :3]))
-
-
-def advanced(model: Cvae, x: Tensor, z: Tensor, change: Tensor) -> tuple[Tensor, Frame]:
-    """One transition as the paper has it, from states (N, 339) in own frames after changes (N, 210): what comes out in
-    its own frame, and that frame in the axes of the unchanged frame before."""
-    past, frame = turned(x, change[:, :XI]), placed(still(x), change[:, XI:])
-    after, _ = state.apply(past, model.decode(past, z))
-    world = state.globalise(after, frame)
-    found = state.heading(world)
-    return state.localise(world, found), found
-
-
-def between(x: Tensor, frame: Frame, y: Tensor, other: Frame) -> Tensor:
-    """The change (N, 210) that takes a state in its frame to another near by; of first order in how far it is."""
-    spin = y[:, ADDED:].unflatten(1, (22, 3, 3)).mT @ x[:, ADDED:].unflatten(1, (22, 3, 3))
-    spin = (spin - spin.mT) / 2
-    omega = torch.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), -1)
-    angle = (other.turn.mT @ frame.turn)[:, 1, 0]
-    way = (frame.turn @ (frame.shift - other.shift)[..., None])[:, :2, 0]
-    return torch.cat((y[:, :ADDED] - x[:, :ADDED], omega.flatten(1), angle[:, None], way), 1)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from data_synth.anatomy import LIMITS, angles, excess
+from data_synth.anatomy import angles, excess
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD
 
@@ -53,8 +53,3 @@ def test_a_knee_bent_backwards_or_sideways_is_caught_and_the_rest_pose_is_possib
     assert float(beyond["left_knee", "flexion"]) == pytest.approx(18, abs=1e-3)
     assert float(excess(STANDARD, pose(right_knee=about("z", 20)))["right_knee", "off hinge"]) > 15
     assert all(float(value) == 0 for value in excess(STANDARD, pose()).values())
-
-
-def test_every_joint_has_a_limit():
-    parts = {name.removeprefix("left_").removeprefix("right_") for name in STANDARD.names[1:]}
-    assert set(LIMITS) == parts

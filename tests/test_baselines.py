@@ -77,6 +77,18 @@ def test_a_mask_that_can_be_read_in_two_ways_is_refused(generator):
     assert not torch.equal(filled.rot[3, 5], single.rot[3, 5]) and torch.equal(filled.rot[3, 4], single.rot[3, 4])
 
 
+def test_noise_has_the_size_it_says_and_lasts_as_long(generator):
+    motion, lasts = swinging(generator, (240,), 20).to(torch.float32), lambda x: (x[:, 1:] * x[:, :-1]).mean()
+    noisy = baselines.Noise.of(5, 2, lasting=0.9).on(motion, generator)
+    angle = rotation.geodesic(noisy.rot, motion.rot)
+    assert angle.square().mean().sqrt().rad2deg() == pytest.approx(5 * 3**0.5, rel=0.02)
+    shift = noisy.root - motion.root
+    assert shift.std() == pytest.approx(0.02, rel=0.05)
+    assert lasts(shift) / shift.square().mean() == pytest.approx(0.9, abs=0.02)
+    fresh = baselines.Noise.of(5, 2).on(motion, generator).root - motion.root
+    assert lasts(fresh) / fresh.square().mean() == pytest.approx(0, abs=0.05)
+
+
 def test_savitzky_golay_keeps_its_polynomials(generator):
     t = torch.linspace(-1, 1, 40, dtype=F64)[:, None]
     cubic = torch.cat((t**3 - t, 2 * t**2), -1)

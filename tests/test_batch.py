@@ -7,7 +7,6 @@ import signal
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +14,6 @@ from motionlab.commands import batch
 from motionlab.errors import DataError, MissingData
 from tests import jobs
 
-ROOT = Path(__file__).resolve().parents[1]
 COUNT = 40
 
 

@@ -1,21 +1,15 @@
 """Checkpoints: what is saved comes back; what is damaged, half written or foreign is refused; what ships is whole."""
 
 import json
-from dataclasses import fields
 
 import pytest
 import torch
 from safetensors.torch import save as save_tensors
 
 from motionlab import checkpoint
-from motionlab.diffusion.completer import CompleterRecipe
-from motionlab.diffusion.encoder import EncoderRecipe
-from motionlab.diffusion.model import DenoiserRecipe
-from motionlab.diffusion.poses import PoseRecipe
 from motionlab.errors import DataError
 from motionlab.humor import pretrained
 from motionlab.humor.cvae import Cvae, official_weights
-from motionlab.training.chain_training import ChainRecipe
 
 RECIPE = {"what": "a test", "seed": 3}
 
@@ -110,14 +104,3 @@ def test_the_shipped_prior_is_whole_and_small():
     assert (checkpoint.SHIPPED / "humor_real.safetensors").stat().st_size < 15e6
     assert not any(p.requires_grad for p in model.parameters()) and not model.training
     assert pretrained.load_motion_prior("humor_real") is model
-
-
-def test_recipes_beside_the_weights_name_what_the_code_names():
-    kinds = {
-        "completer": CompleterRecipe, "completer_draws": CompleterRecipe, "completer_rough": CompleterRecipe,
-        "diffusion_plain": DenoiserRecipe, "features_real": EncoderRecipe, "poser": PoseRecipe,
-        "transition": ChainRecipe, "humor_real": ChainRecipe,
-    }  # fmt: skip
-    for name, kind in kinds.items():
-        said = set(checkpoint.read_recipe(checkpoint.SHIPPED / name)["recipe"]) - {"half"}  # of an earlier trainer
-        assert said and said <= {field.name for field in fields(kind)}, name

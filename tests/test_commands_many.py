@@ -2,9 +2,6 @@
 
 import json
 import shutil
-import threading
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -176,23 +173,6 @@ def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(
     monkeypatch.setattr(batch, "run_many", no_run)
     assert fit_each(two_at_once) == fit_each(two_at_once, "--person", "all") == 0
     assert found == [[True, True], [False, False]]  # made with other options is not finished
-
-
-def test_a_cluster_fits_the_same_though_a_worker_is_killed(two_at_once, tmp_path, monkeypatch, cluster, capsys):
-    monkeypatch.setattr(batch, "PATIENCE", 10 * batch.PATIENCE)  # a busy machine
-    address, processes = cluster
-    out = tmp_path / "scenes"
-
-    def kill():
-        while not all((out / name).is_dir() for name in ("cam1", "cam1_2")):  # both have begun
-            time.sleep(0.01)
-        processes[1].kill()
-
-    threading.Thread(target=kill, daemon=True).start()
-    monkeypatch.chdir(two_at_once)  # the workers stand elsewhere
-    assert fit_each(Path(), "--cluster", address, "--out", str(out)) == 0
-    assert "2 clips: 2 done" in capsys.readouterr().out and processes[1].wait() != 0
-    assert arrays(out) == arrays(two_at_once / "scenes")
 
 
 def test_clips_are_put_together_by_their_names(footage):

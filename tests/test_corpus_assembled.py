@@ -256,10 +256,3 @@ def test_a_damaged_kept_file_is_made_again(folder, loaded, damage):
         kept.write_bytes(changed[damage])
     assert same(assemble(folder), whole) and len(loaded) == 4
     assert same(assemble(folder), whole) and len(loaded) == 4
-
-
-def test_where_corpora_are_kept(monkeypatch, tmp_path):
-    monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path))
-    assert corpus.cache_folder() == tmp_path / "corpus"
-    monkeypatch.delenv("MOTIONLAB_CACHE")
-    assert corpus.cache_folder().is_relative_to(Path.home())

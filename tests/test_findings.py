@@ -110,12 +110,6 @@ def test_a_broken_record_names_the_file(tmp_path, text):
 CLAIM, WHOLE_CLAIM = ledger(), ledger(x="")
 
 
-def test_ledger_reads(tmp_path):
-    (tmp_path / "claims.toml").write_text(WHOLE_CLAIM)
-    claim = findings.load_claims(tmp_path / "claims.toml")["H00"]
-    assert claim.tests[0].id == "H00.x" and claim.tests[0].bound_text() == "<= 1 m"
-
-
 @pytest.mark.parametrize(
     "text",
     [

@@ -26,11 +26,6 @@ def test_nought_is_the_standard_body_and_one_is_eight_per_cent():
         assert torch.allclose(longer[g, others], torch.tensor(1.0), atol=1e-6)
 
 
-def test_every_bone_is_in_one_group():
-    grouped = [name for names in body_shape.BONE_GROUPS.values() for name in names]
-    assert sorted(grouped) == sorted(STANDARD.names[1:])
-
-
 def test_betas_come_back_from_their_skeletons(generator):
     betas = torch.randn(5, 8, generator=generator)
     found = body_shape.from_skeleton(replace(STANDARD, offsets=body_shape.offsets(betas)))

@@ -99,19 +99,6 @@ def test_other_bodies_have_the_bones_they_say_and_paths_as_long_as_their_legs(da
     assert 10 <= kept.sum() <= 32 and grown.std() > 0.01
 
 
-def test_draws_follow_their_generator_and_motions_too_short_are_left_out(motions, data):
-    for a, b in zip(drawn(data), drawn(data), strict=True):
-        assert torch.equal(a, b)
-    mixed = gather([motions[1].cut(0, 4), motions[0]], 5, missing=[("head",), ("left_foot",)])
-    unseen = [name for name, seen in zip(STANDARD.names, mixed.seen[0], strict=True) if not seen]
-    assert len(mixed.seen) == 1 and unseen == ["left_foot", "right_foot"]  # windows are mirrored
-    assert len(mixed.root) == motions[0].frames and mixed.digest != data.digest
-    with pytest.raises(DataError, match="no motion has 5 frames"):
-        gather([motions[0].cut(0, 4)], 5, missing=[()])
-    with pytest.raises(ValueError, match="zip"):
-        gather(motions, 5, missing=[()])
-
-
 # ---------------------------------------------------------------------------------------------------- the losses
 def test_a_joint_that_was_not_recorded_teaches_nothing_of_its_rotation(data):
     run = ChainTraining(SMALL, data)

@@ -54,17 +54,6 @@ def component(problem, unknown):
     return problem.priors.initial.each(mixed_features(problem, unknown)).argmax(-1)
 
 
-def test_whitened_features_are_the_density_and_its_slopes(case):
-    problem, _ = case
-    gmm, x = problem.priors.initial, torch.randn(3, priors.FIRST_STATE_SIZE, generator=seeded(1), dtype=F64)
-    way = torch.randn(3, priors.FIRST_STATE_SIZE, 2, generator=seeded(2), dtype=F64)
-    off, slopes, constant = gmm.whitened(x, way)
-    torch.testing.assert_close(constant - 0.5 * off.square().sum(-1), gmm.each(x))
-    change = torch.tensor([0.3, -0.2], dtype=F64)
-    moved = constant - 0.5 * (off + slopes @ change).square().sum(-1)
-    torch.testing.assert_close(moved, gmm.each(x + way @ change))
-
-
 def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
     """Together they are round, but for the ridge that holds what nothing else does."""
     problem, unknown = case

@@ -19,7 +19,7 @@ from motionlab.humor.energies import RGB, RGB_LIGHT
 from motionlab.humor.shooting import feedback_solver
 from motionlab.io import amass, bvh, gltf, video
 from motionlab.motion import Motion
-from motionlab.observation import BODY_25, Observation2D, at_rate, project
+from motionlab.observation import BODY_25, Observation2D, project
 from motionlab.skeleton import BALLS, STANDARD
 
 FRAMES = 8
@@ -323,18 +323,7 @@ def test_options_that_cannot_be_used(tmp_path, keypoints, capsys):
     assert not list((tmp_path / "out").glob("*.*"))
 
 
-# ------------------------------------------------------------------------------------------ rates and comparisons
-def test_at_rate_halves_and_interpolates(walk):
-    observation = seen(walk)
-    fast = replace(observation, fps=60.0)
-    half = at_rate(fast)
-    assert torch.equal(half.keypoints, observation.keypoints[::2]) and half.fps == 30
-    same = at_rate(observation)
-    assert torch.equal(same.keypoints, observation.keypoints)
-    slow = at_rate(replace(observation, fps=15.0))
-    assert slow.frames == 2 * FRAMES - 1
-    middle = (observation.keypoints[:-1] + observation.keypoints[1:]) / 2
-    assert torch.allclose(slow.keypoints[1::2], middle, atol=1e-3)
+# ------------------------------------------------------------------------------------------ what the record counts
 
 
 def test_the_record_counts_only_what_was_seen(walk):

@@ -86,8 +86,9 @@ def test_one_bad_clip_leaves_the_others_alone(model, generator):
     assert leaf.grad[[0, 2]].isfinite().all()
 
 
+@pytest.mark.parametrize("loops", [False, True])
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
-def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, dtype):
+def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, dtype, loops):
     """The right axis up: the frame keeps its axes, the gradient is finite, and near by it is the plain loop's."""
     net = Cvae(64).to(dtype).frozen()
     with torch.no_grad():
@@ -96,7 +97,7 @@ def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, 
     side = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], dtype=dtype)
     first[0, state.SLICES["root_orient"]] = side.flatten()
     x, z = first.clone().requires_grad_(), latents(generator, 2, 3).to(dtype).requires_grad_()
-    out = rollout(net, x, z)
+    out = rollout(net, x, z, loops=loops)
     torch.testing.assert_close(out.states[0], plain(net, first, z)[0][0], atol=1e-5, rtol=0)
     torch.testing.assert_close(out.states[0, -1], first[0], atol=1e-5, rtol=0)
     for slope in torch.autograd.grad(out.states.square().sum() + out.prior.mean.sum(), (x, z)):

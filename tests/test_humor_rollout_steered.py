@@ -117,15 +117,6 @@ def test_its_gains_and_weights_have_no_gradients(first, u, gains):
     assert slopes[0] is not None and all(slope is None for slope in slopes[1:])
 
 
-def both(monkeypatch, call):
-    """What a call gives as loops and as tensors."""
-    found = []
-    for few in (100, 0):
-        monkeypatch.setattr(compiled, "FEW", few)
-        found.append(call())
-    return found
-
-
 def test_no_gains_are_gains_of_nought(model, first, u):
     leaves = [x.clone().requires_grad_() for x in (u, u)]
     nought = torch.zeros(CLIPS, STEPS, 48, compiled.PLACED, dtype=F64)
@@ -133,24 +124,6 @@ def test_no_gains_are_gains_of_nought(model, first, u):
     slopes = [torch.autograd.grad(loss(x), leaf)[0] for x, leaf in zip(found, leaves, strict=True)]
     for ours, theirs in zip([*found[0], slopes[0]], [*found[1], slopes[1]], strict=True):
         torch.testing.assert_close(ours, theirs, atol=1e-12, rtol=1e-12)
-
-
-def test_a_body_on_its_side_has_a_frame_and_finite_slopes(model, first, u, gains, monkeypatch):
-    """The right axis of the first state points up: there is no heading, and the frame keeps its axes."""
-    up = torch.tensor([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]], dtype=F64)
-    lying = state.unpack(first)
-    lying = state.pack(lying | {"root_orient": up.expand(CLIPS, 3, 3)})
-    still = torch.zeros_like(u)
-
-    def slopes():
-        leaf = still.clone().requires_grad_()
-        found = parts(steered_rollout(model, lying, leaf, gains))
-        return [*found, *torch.autograd.grad(loss(found), leaf)]
-
-    loops, tensors = both(monkeypatch, slopes)
-    for ours, theirs in zip(loops, tensors, strict=True):
-        assert ours.isfinite().all()
-        torch.testing.assert_close(ours, theirs, atol=1e-10, rtol=1e-10)
 
 
 def test_doctor_compiles_what_a_fit_needs(first, u, gains, monkeypatch):

@@ -68,8 +68,10 @@ def made(pose):
     priors = replace(priors, initial=mixture)
     truth = replace(work.moving, z=noisy(sample_rollout(model, first, FRAMES - 1).z[:, None], 0.3, 3))
     seen = work.problem.evidence
+    view = replace(seen.view, intrinsics=seen.view.intrinsics * torch.tensor([1.0, 0.9, 1.0]).double()[:, None])
+    seen = replace(seen, view=view)  # of two focal lengths
     joints = Evidence(torch.zeros(CLIPS, FRAMES, 22, 3, dtype=F64), torch.ones(CLIPS, FRAMES, 22, dtype=F64), walk.fps)
-    kinds = {"joints": joints, "fixed": replace(seen, view=replace(seen.view, free=False)), "free": seen}
+    kinds = {"joints": joints, "fixed": replace(seen, view=replace(view, free=False)), "free": seen}
     found = {}
     for kind, begun in kinds.items():
         spread = {"z": 0.3, "trans": 0.02, "orient": 0.05, "camera": 0.01 * (kind == "free")}
@@ -220,6 +222,21 @@ def test_gradients_in_the_coordinates_are_finite_differences(cases):
         with torch.no_grad():
             up, down = (value(point | {name: point[name] + s * way}) for s in (step, -step))
         torch.testing.assert_close((slope * way).sum(), (up - down) / (2 * step), rtol=1e-4, atol=1e-3)
+
+
+def test_who_lies_on_the_side_or_is_behind_the_camera_has_coordinates(cases):
+    """Without a heading the frame keeps its axes; pixels of what is behind the camera pull nobody."""
+    problem, unknown = cases["fixed"]
+    side = torch.tensor([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]], dtype=F64)
+    lying = unknowns.from_matrix(side.expand_as(unknowns.to_matrix(unknown.orient)), "lean")
+    assert all(x.isfinite().all() for x in linearised(problem, replace(unknown, orient=lying)))
+    seen, about = problem.evidence, torch.tensor([-1.0, 1, -1], dtype=F64).diag()
+    behind = replace(seen, view=replace(seen.view, rotation=about @ seen.view.rotation))
+    blind = replace(seen, weight=torch.zeros_like(seen.weight))
+    found = [linearised(replace(problem, evidence=each), unknown) for each in (behind, blind, seen)]
+    for ours, theirs in zip(*found[:2], strict=True):
+        torch.testing.assert_close(ours, theirs)
+    assert (found[2].gains - found[1].gains).abs().max() > 1e-3  # control
 
 
 # ----------------------------------------------------------------------------------------------------------- the search

@@ -64,17 +64,6 @@ def test_unknown_frames_are_interpolated_and_ends_hold():
     torch.testing.assert_close(rotation.geodesic(turn[0, 2], turned[0]), share * whole, atol=1e-3, rtol=0)
 
 
-def test_of_whom_nothing_is_known_stands_upright_at_the_origin():
-    gen = torch.Generator().manual_seed(0)
-    trans, turn = torch.randn(2, 4, 3, generator=gen), rotation.random((2, 4), gen)
-    known = torch.tensor([[True], [False]]).expand(2, 4)
-    found, turned = starts.interpolate_unseen(trans, turn, known, 30.0)
-    assert torch.equal(found[0], trans[0]) and torch.equal(turned[0], turn[0])
-    height = STANDARD.standing_height()
-    torch.testing.assert_close(found[1], torch.stack((0 * height, 0 * height, height)).expand(4, 3))
-    torch.testing.assert_close(turned[1], UPRIGHT.expand(4, 3, 3))
-
-
 # --------------------------------------------------------------------------------------------------------------- joints
 @pytest.mark.parametrize(("frames", "broken"), [(range(5), False), (range(5, 13), False), (range(5, 13), True)])
 def test_missing_frames_continue_what_is_around_them(kit, walk, whole, frames, broken, monkeypatch):

@@ -8,7 +8,7 @@ import torch
 from data_synth import scenes
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.ik import _jacobian, reach_targets
+from motionlab.ik import reach_targets
 
 HANDLES = ["left_wrist", "right_ankle", "head"]
 
@@ -32,23 +32,6 @@ def test_handles_arrive(motion, generator):
     assert gap.max() < 1e-3
     eye = found.rot @ found.rot.mT - torch.eye(3)
     assert eye.abs().max() < 1e-5
-
-
-def test_the_jacobian_is_autograd_s(motion):
-    one = replace(motion, root=motion.root[0, :1].double(), rot=motion.rot[0, :1].double(), contacts=None,
-                  skeleton=motion.clip(0).skeleton.to(torch.float64))  # fmt: skip
-    handles = one.skeleton.indices(HANDLES)
-    positions, turns = one.world
-
-    def moved(turn):
-        eye = torch.eye(3).double().expand_as(turns[..., :1, :, :])
-        parent = torch.cat((eye, turns), -3)[..., [p + 1 for p in one.skeleton.parents], :, :]
-        rot = parent.mT @ rotation.exp(turn) @ parent @ one.rot
-        return replace(one, rot=rot).positions[0, handles]
-
-    slope = torch.autograd.functional.jacobian(moved, torch.zeros(1, 22, 3).double())[:, :, 0]  # (K, 3, J, 3)
-    ours = _jacobian(positions, handles, one.skeleton.ancestors()[handles].double())[0]
-    assert (ours.permute(0, 2, 1, 3) - slope).abs().max() < 1e-6
 
 
 def test_free_handles_and_far_targets(motion, generator):

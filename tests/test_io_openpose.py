@@ -90,14 +90,6 @@ def test_files_named_otherwise_do_not_join_the_series(tmp_path):
         keypoints.load_person(folder, fps=30)
 
 
-def test_confidence_zero_hides_whatever_coordinates_are_there(tmp_path):
-    hidden = person(100)
-    hidden[4] = (713.5, 12.0, 0.0)
-    observed = keypoints.load_person(write(tmp_path / "a", {0: [hidden], 1: [hidden]}), fps=30)
-    assert not observed.visible[:, 4].any() and (observed.keypoints[:, 4] == 0).all()
-    assert observed.visible[:, 3].all()
-
-
 def test_longest_wins_over_a_passer_by(tmp_path):
     listed = {n: [person(200 + n)] for n in range(20)}
     for n in range(5, 9):

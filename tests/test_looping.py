@@ -151,19 +151,6 @@ def test_what_cannot_be_cycled_is_refused_with_a_remedy(words, said, tmp_path, c
     assert said in error and "remedy" in error and not (tmp_path / "out.bvh").exists()
 
 
-def test_the_commands_write_what_they_say(walk, tmp_path, capsys):
-    out = tmp_path / "out.bvh"
-    assert (
-        main(["cycle", str(examples.WALK), "--loop", "--in-place", "--cut", "1.467", "2.567", "--out", str(out)]) == 0
-    )
-    found = io.load(out)
-    assert found.frames == 34 and found.root[:, :2].abs().max() < 1e-6
-    assert "the last frame is the first again" in capsys.readouterr().out
-    assert main(["plant", str(examples.WALK), "--out", str(out)]) == 0
-    assert "16 of 22 joints in all frames, keep the file's own numbers" in capsys.readouterr().out
-    assert slide(standard(io.load(out)), walk) <= slide(walk, walk)
-
-
 # --------------------------------------------------------------------------------------------- what other systems give
 def as_given(walk: Motion, seed: int, drift: float = 0.12) -> Motion:
     """The walk as a system sees it that reads poses from video: every joint off by 4 degrees about each axis for a

@@ -13,7 +13,7 @@ import torch
 
 from motionlab import __main__
 from motionlab.animate import filling, rewriting
-from motionlab.commands import doctor, motions, options
+from motionlab.commands import doctor, options
 from motionlab.commands.doctor import Check
 from motionlab.errors import DataError, MissingData
 from motionlab.io import bvh, judging, load
@@ -123,18 +123,6 @@ def test_regenerate_writes_what_ran_and_keeps_what_failed(suite, monkeypatch):
     assert book["cells"][1]["outputs"][0]["text"] == [f"full {suite}\n"]
     execute.regenerate(["01"])
     assert (suite / "01_runs.ipynb").read_bytes() == first
-
-
-def test_notebooks_run_side_by_side_and_the_longest_begins_first(suite, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(execute.parallel, "cores", lambda: 1)
-    record = findings.load_record(suite / "results/01.json")
-    findings.save_record(suite / "results/00.json", replace(record, provenance={"smoke seconds": "3"}))
-    findings.save_record(suite / "results/01.json", replace(record, provenance={"smoke seconds": "30"}))
-    jobs = [(path, tmp_path / path.name) for path in execute.find_notebooks()]
-    execute.run_side_by_side(jobs, {"MOTIONLAB_PROFILE": "x"}, ran := [])
-    assert [run.notebook for run in ran] == ["01_runs", "00_fails"]
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("[1/2] 01_runs") and lines[0].endswith("ran") and "failed at cell 2" in lines[1]
 
 
 def test_a_fingerprint_is_not_replaced_by_another_unless_asked(suite, monkeypatch):
@@ -325,11 +313,6 @@ def test_data_needs_a_folder(monkeypatch, capsys):
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     assert __main__.main(["data"]) == 2
     assert "MOTIONLAB_DATA" in capsys.readouterr().err
-
-
-def test_table_is_aligned():
-    rows = [{"source": "cmu_amc", "minutes": 5.84}, {"source": "x", "minutes": 10.0}]
-    assert motions.text_table(rows) == "source   minutes\ncmu_amc  5.8\nx        10.0"
 
 
 def test_what_the_commands_offer_is_what_the_library_does():

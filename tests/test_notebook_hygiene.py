@@ -8,7 +8,6 @@ import pytest
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("[0-9]*.ipynb"))
 MARKERS = ("NBVAL_CHECK_OUTPUT", "NBVAL_IGNORE_OUTPUT", "NBVAL_SKIP", "NBVAL_RAISES_EXCEPTION")
-ENVIRONMENT = ("%pip", "!pip", "!apt", "%cd", "%load_ext", "%conda")
 
 
 def code_cells(path):
@@ -22,15 +21,10 @@ def problems(path):
     counts = [cell["execution_count"] for _, cell in cells]
     if counts != list(range(1, len(cells) + 1)):
         yield f"not run top to bottom in one kernel: execution counts {counts}"
-    parameters = [source for source, cell in cells if "parameters" in cell["metadata"].get("tags", [])]
-    if len(parameters) != 1:
-        yield "needs exactly one cell tagged 'parameters'"
     if not any("NBVAL_CHECK_OUTPUT" in source.splitlines()[0] for source, _ in cells if source):
         yield "no cell checks its output"
     if not cells or cells[-1][0].splitlines()[-1:] != ["lab.close()"]:
         yield "does not end with lab.close(), which compares it with its record"
-    if path.stat().st_size > 4_000_000:
-        yield f"{path.stat().st_size / 1e6:.1f} MB; make the pictures smaller"
     shown = "\n".join(text for _, cell in cells for text in texts(cell))
     if not re.search(r"profile \*?full\b", shown):
         yield "not the full profile: run `make full`"
@@ -62,8 +56,6 @@ def cell_problems(source, cell):
         yield "stores an error"
     if any(output.get("name") == "stderr" for output in cell["outputs"]):
         yield "stores a warning (stderr)"
-    if any(line.strip().startswith(ENVIRONMENT) for line in lines):
-        yield "changes the environment"
     if "NBVAL_SKIP" in source:
         yield "a skipped cell is not evidence"
 
@@ -74,15 +66,15 @@ def test_notebook_is_honest(path):
     assert not found, "\n".join(found)
 
 
-def cell(source, count, output="all holds", tags=(), **more):
+def cell(source, count, output="all holds", **more):
     outputs = [{"output_type": "stream", "name": "stdout", "text": output}] if output else []
     made = {"cell_type": "code", "source": source, "execution_count": count, "outputs": outputs}
-    return made | {"metadata": {"tags": list(tags)}} | more
+    return made | {"metadata": {}} | more
 
 
 def good_cells():
     return [
-        cell("PROFILE = None", 1, output="", tags=["parameters"]),
+        cell("PROFILE = None", 1, output=""),
         cell("lab = setup(PROFILE)", 2, output="profile *full*, seed 0"),
         cell("show(clips)", 3),
         cell("# NBVAL_CHECK_OUTPUT\nlab.verdicts()\nlab.close()", 4),
@@ -108,20 +100,16 @@ IMAGE = [{"output_type": "display_data", "data": {"image/png": "iVBOR"}, "metada
     ("index", "bad", "complaint"),
     [
         (1, cell("lab = setup(PROFILE)", 7, "profile *full*"), "top to bottom"),
-        (0, cell("PROFILE = None", 1), "exactly one cell"),
         (1, cell("lab = setup(PROFILE)", 2, "profile *smoke*"), "not the full profile"),
         (2, cell("print(path)", 3, "read /home/ann/walk.bvh"), "path of one machine"),
         (3, cell("lab.verdicts()", 4), "no cell checks"),
         (3, cell("# NBVAL_CHECK_OUTPUT\nlab.close()\nlab.verdicts()", 4), "does not end with lab.close()"),
         (3, cell("# NBVAL_CHECK_OUTPUT - verdicts\nlab.verdicts()", 4), "marker not alone"),
-        (3, cell("lab.verdicts()  # NBVAL_CHECK_OUTPUT", 4), "marker not alone"),
         (3, cell("# NBVAL_CHECK_OUTPUT\nlab.verdicts()", 4, output=""), "no text to compare"),
         (3, cell("# NBVAL_CHECK_OUTPUT\nlab.show()", 4, outputs=IMAGE), "no text to compare"),
         (2, cell("x", 3, outputs=STDERR), "stderr"),
         (2, cell("x", 3, outputs=ERROR), "stores an error"),
-        (2, cell("%pip install x", 3), "changes the environment"),
         (2, cell("# NBVAL_SKIP\nx", 3), "skipped cell"),
-        (2, cell("x", 3, output="x" * 4_100_000), "4.1 MB"),
     ],
 )
 def test_control_bad_notebook_is_found(tmp_path, index, bad, complaint):

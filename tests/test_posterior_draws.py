@@ -146,10 +146,3 @@ def test_bad_input_is_refused(fitted):
     for count, heat in ((0, 1.0), (2, 0.0), (2, float("nan"))):
         with pytest.raises(ValueError, match="at least one draw"):
             sample(fitted, count, generator=seeded(), temperature=heat)
-
-
-def test_a_fit_by_the_other_solver_keeps_nothing_to_draw_around(priors):
-    scene = scenes.film("walking, legs hidden", 1, seed=1, frames=8)
-    found = fit(scene.observation, priors, cameras=scene.cameras, schedule=Schedule.quick())
-    with pytest.raises(DataError, match="remedy"):
-        sample(found, 2, generator=seeded())

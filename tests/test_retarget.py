@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rigs_made import made
 
 from motionlab import io, rotation
 from motionlab.contact import contacts_from_positions
@@ -69,15 +68,6 @@ def assert_same(result, motion: Motion, tolerance: float = 1e-9) -> None:
 def test_the_standard_skeleton_comes_back_as_it_is(generator, proportions):
     motion = wild(generator)
     assert_same(retarget(motion, proportions=proportions, plant=False), motion)
-
-
-@pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig1:", "mixamorig_", "Armature:mixamorig:"])
-def test_mixamo_names(generator, prefix):
-    motion = wild(generator)
-    names = tuple(made("Mixamo")[1][name].replace("mixamorig:", prefix) for name in STANDARD.names)
-    result = retarget(replace(motion, skeleton=replace(motion.skeleton, names=names, contact_names=())))
-    assert result.unmapped == () and result.names["left_knee"] == f"{prefix}LeftLeg"
-    assert_same(result, motion)
 
 
 def test_more_spine_joints_than_three_keep_first_middle_and_last(generator):

@@ -75,7 +75,8 @@ def test_every_family(generator, family):
 
 
 @pytest.mark.parametrize(
-    "change", ["{}_055", "Armature|{}", "Ctrl_{}_jnt", "mixamorig:{}", "{}:1", str.lower, str.upper]
+    "change",
+    ["{}_055", "Armature|{}", "Ctrl_{}_jnt", "Armature:mixamorig1:{}", "mixamorig_{}", "{}:1", str.lower, str.upper],
 )
 @pytest.mark.parametrize("family", ["HumanIK", "Xsens MVN", "Biovision", "SOMA-77", "Unreal"])
 def test_what_stands_around_a_name_says_nothing(family, change):

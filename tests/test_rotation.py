@@ -81,6 +81,22 @@ def test_log_at_pi_has_the_derivative_of_its_branch(generator, angle):
     assert hessian.isfinite().all() and hessian.abs().max() < 10
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-30, 1e-8, 1e-4, 0.05, 0.0999, 0.1001, 1.0, 3.1, torch.pi, 5.0])
+def test_the_left_jacobian_at_any_angle(generator, size):
+    """dR = [J dv] R; by autograd through ours, and by scipy's rotations."""
+    v = size * torch.nn.functional.normalize(torch.randn(5, 3, generator=generator, dtype=F64), dim=-1)
+    ours = rotation.left_jacobian(v)
+    slope = torch.func.jacrev(lambda d: rotation.exp(v + d))(torch.zeros(3, dtype=F64))  # (5, 3, 3, 3 causes)
+    claimed = rotation.skew(ours.mT) @ rotation.exp(v)[:, None]  # (5, 3 causes, 3, 3)
+    torch.testing.assert_close(claimed, slope.movedim(-1, 1), atol=1e-10, rtol=0)
+    way = np.array([0.3, -0.5, 0.8])
+    turns = [Rotation.from_rotvec(v.numpy() + s * way) for s in (1e-6, -1e-6)]
+    measured = torch.from_numpy((turns[0] * turns[1].inv()).as_rotvec() / 2e-6)
+    torch.testing.assert_close(ours @ torch.from_numpy(way), measured, atol=1e-8, rtol=0)
+    if size > 0.04:  # control: the right one is its transpose
+        assert (ours.mT @ torch.from_numpy(way) - measured).abs().max() > 1e-2
+
+
 def test_second_derivatives_survive_float32_where_kornia_loses_them(generator):
     """Why exp is not kornia's: if the control fails, kornia has improved and our own may go."""
     weight = torch.randn(3, 3, generator=generator, dtype=F64)

@@ -11,7 +11,6 @@ import torch
 from data_synth import clips
 from motionlab import io, splits
 from motionlab.skeleton import STANDARD
-from studies.nb02_rotations import recordings
 
 #: Partners in one scene, and copies of one another, as the review of the data found them.
 TOGETHER = [
@@ -127,8 +126,6 @@ def test_recordings_come_on_the_standard_joints_at_one_rate(folder):
 def test_no_folder_or_no_such_source_is_an_empty_list(folder):
     assert splits.load_source(None, "cmu_amc") == []
     assert splits.load_source(folder, "cmu_amc") == []
-    assert recordings.roots(None) == {}
-    assert list(recordings.roots(folder)) == ["reactidle"]
 
 
 def test_spread_takes_first_last_and_between():

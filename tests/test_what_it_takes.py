@@ -1,15 +1,21 @@
-"""The study of notebook 15: spoilt windows, a squeezed space, and a distribution that is no Gaussian."""
+"""Measures of notebooks 13 and 15: windows spoilt on purpose, a squeezed space, and feet that stand or slide."""
+
+from dataclasses import replace
 
 import pytest
 import torch
 
+from data_synth.corpus import Recipe as Corpus
+from data_synth.corpus import perform_sequence
 from motionlab import rotation
 from motionlab.bench import cases
 from motionlab.bench.cases import PersonWindows
 from motionlab.diffusion.model import motion_model
+from motionlab.diffusion.windows import gather, on_standard
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.nb15_what_it_takes import latent, learning, ruler
+from studies.shared import small_measures
 from studies.shared.fill_people import FRAMES
 from tests.draws import seeded
 
@@ -60,3 +66,22 @@ def test_squeezing_into_all_parts_loses_nothing_and_keeps_unit_variance():
     assert space.lost_cm(x).max() < 0.1
     assert space.encode(x).std(0, correction=0) == pytest.approx(torch.ones(11), abs=1e-3)
     assert space.of_size(2).lost_cm(x).mean() > space.of_size(6).lost_cm(x).mean() > 0
+
+
+# --------------------------------------------------------------------------------------------- feet of notebook 13
+@pytest.fixture(scope="module")
+def clips():
+    """Windows (8, 40) of one walking, stopping and turning person."""
+    motion = on_standard(perform_sequence(Corpus(seconds=20.0, seed=3), 0).motion)
+    return replace(gather([motion], 40).evenly(8), skeleton=STANDARD)
+
+
+def test_feet_stand_in_walking_and_slide_where_roots_are_others(clips):
+    mixed = small_measures.with_others_roots(clips, torch.Generator().manual_seed(0))
+    assert small_measures.skating(clips).mean() < 0.1
+    assert small_measures.skating(mixed).mean() > 0.2 + small_measures.skating(clips).mean()
+    assert small_measures.driven(clips).nanmean() > 0.9
+    assert small_measures.slide_mm(mixed).nanmean() > 2 * small_measures.slide_mm(clips).nanmean()
+    still = replace(clips, root=clips.root[:, :1].expand_as(clips.root))
+    assert small_measures.driven(still).isnan().all()  # who goes nowhere has none
+    assert small_measures.travel(still).max() == 0

@@ -24,7 +24,6 @@ from motionlab import rotation
 from motionlab.footage import scene_fit
 from motionlab.humor import pretrained, testops
 from motionlab.humor.testops import Schedule
-from motionlab.metrics import gait
 from motionlab.metrics.intervals import interval
 from motionlab.metrics.pose import joint_errors
 from motionlab.motion import Motion
@@ -34,11 +33,9 @@ from motionlab.skeleton import STANDARD
 PLANS = {
     "default": scene_fit.FULL_WORK,
     "stage 2": scene_fit.FULL_WORK.without_stage_3(),
-    "no guesses": replace(scene_fit.FULL_WORK, guesses=False),
     "lean": Schedule.lean(),
     "quick": Schedule.quick(),
     "first look": scene_fit.QUICK_WORK,
-    "first look, no guesses": replace(scene_fit.QUICK_WORK, guesses=False),
 }
 CAMERAS = ("known", "assumed")
 LIMBS = [k for k, name in enumerate(STANDARD.names) if name.endswith(("knee", "ankle", "elbow", "wrist"))]
@@ -81,9 +78,7 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
     from studies.shared.clips import everyday, takes
     from studies.shared.sitting import seated
 
-    if options.cast == "synthetic stays seated":
-        cast = clips_of.acted("sit", _stays_seated, options.people, 7, seconds=3.0)
-    elif options.cast == "synthetic sits":
+    if options.cast == "synthetic sits":
         cast = clips_of.acted("sit", clips_of.sits_down, options.people, 7, seconds=1.0)
     elif options.cast == "sits":
         cast = clips_of.who(takes(folder, options.part), clips_of.sits_down, 2, options.people, 7)
@@ -134,12 +129,6 @@ def _off(motion: Motion, truth: Motion, *, turned: bool) -> torch.Tensor:
     return 100 * joint_errors(ours, theirs, align="none").mean(1)
 
 
-def _stays_seated(motion: Motion) -> torch.Tensor:
-    """(starts,) true where both legs are bent as a sitter's in every frame of two seconds."""
-    bent = torch.stack([angle.amin(-1) for angle in gait.tilt_and_bend(motion)]).amin(0) >= gait.SEATED
-    return bent.unfold(0, 60, 1).all(-1)
-
-
 def _import_studies() -> None:
     sys.path.append(str(Path(__file__).resolve().parents[2] / "notebooks"))
 
@@ -155,9 +144,7 @@ def main() -> None:
     parser.add_argument("--views", action="store_true", help="fit Pose2Sim's four views; a minute or so each plan")
     parser.add_argument("--people", type=int, metavar="N", help="fit so many people of CMU, each alone")
     parser.add_argument("--part", choices=("val", "test"), default="val", help="whose people these are")
-    parser.add_argument(
-        "--cast", choices=("everyday", "sits", "synthetic sits", "synthetic stays seated"), default="everyday"
-    )
+    parser.add_argument("--cast", choices=("everyday", "sits", "synthetic sits"), default="everyday")
     parser.add_argument("--view", default="plain view", help="of the simulated camera, or legs behind a desk")
     parser.add_argument("--plans", nargs="+", choices=PLANS, default=[*PLANS])
     parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS)

@@ -68,16 +68,11 @@ class Golden:
     """Golden arrays by name, float64, from the files of a folder."""
 
     def __init__(self, folder: Path | str) -> None:
-        files = {path.name: np.load(path) for path in sorted(Path(folder).glob("humor_*.npz"))}
-        self._names = {name: file.files for name, file in files.items()}
-        self._arrays = {name: file[name] for file in files.values() for name in file.files}
+        files = [np.load(path) for path in sorted(Path(folder).glob("humor_*.npz"))]
+        self._arrays = {name: file[name] for file in files for name in file.files}
 
     def __getitem__(self, name: str) -> Tensor:
         return torch.as_tensor(self._arrays[name], dtype=F64)
-
-    def names(self, file: str) -> list[str]:
-        """The arrays of one file."""
-        return self._names[file]
 
     def states(self, prefix: str) -> Tensor:
         """The parts ``prefix``trans, ``prefix``trans_vel and so on as states (..., 339) in our order."""

@@ -9,7 +9,7 @@ official fits, is the caller's choice: ``model.frozen()`` or not.
 Differs: a model's ``skip``, where it has one, is added to what the decoder says.
 
 Source: behaviour of the official HuMoR code (Rempe et al. 2021) at its last public version, written anew from golden
-arrays; float64 values and gradients agree to rounding (``tests/test_official_rollout.py``).
+arrays; float64 values and gradients agree to rounding (``tests/test_humor_parity.py``).
 """
 
 from collections.abc import Callable
