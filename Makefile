@@ -62,7 +62,7 @@ small: setup
 train: setup
 	@test -n "$$MOTIONLAB_DATA" || { echo "name a folder of recordings: make train MOTIONLAB_DATA=FOLDER"; exit 2; }
 	@$(PY) -m motionlab train small --data "$$MOTIONLAB_DATA"
-	@$(PY) -m motionlab train features --data "$$MOTIONLAB_DATA"
+	@PYTHONPATH=notebooks $(PY) -m studies.shared.feature_training "$$MOTIONLAB_DATA"
 
 bench: setup
 	@$(PY) tests/bench/run.py

@@ -1,7 +1,7 @@
 """Fills gaps, puts noise on motions and smooths it away without a model, as baselines: curves, filters.
 
-Gaps are given by ``known``: (..., T) for whole frames or (..., T, J) for single joints, True where the motion may be
-used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
+Gaps are given by ``known``: (T,) or (..., T) for whole frames, (..., T, J) with all axes for single joints, True where
+the motion may be used; what is known stays exactly. Contacts of a filled or smoothed motion are dropped.
 
 ``smooth_curves`` are, number by number, the conditional mean of a Gaussian process in time of Matern covariance 3/2.
 Like cubic splines these have a velocity that does not jump, but far from known entries they come back to zero.
@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -27,19 +28,15 @@ _LIVELY, _QUICK = 2.5, 1.0  # strength of acceleration that is motion: rad/s^(3/
 
 
 def _mask(known: Tensor, motion: Motion) -> Tensor:
-    """The mask as bool (..., T, J)."""
-    frames, joints = motion.rot.shape[-4:-2]
-    known, lead = known.bool(), motion.root.shape[:-1]
-    pairs = zip(reversed(known.shape), reversed(lead), strict=False)
-    by_frame = 0 < known.ndim <= len(lead) and known.shape[-1] == frames and all(k in (1, n) for k, n in pairs)
-    by_joint = known.shape[-2:] == (frames, joints)
-    if by_frame and by_joint:
-        raise ShapeError(f"known {tuple(known.shape)}: frames of each clip, or joints of each frame? Give all axes")
-    if not by_frame and not by_joint:
-        raise ShapeError(f"known: expected (..., {frames}) or (..., {frames}, {joints}), got {tuple(known.shape)}")
-    if not known.any(-1 if by_frame else -2).all():
+    """The mask as bool (..., T, J): of joints where it has an axis more than frames have."""
+    whole = known.bool() if known.ndim == motion.root.ndim else known.bool()[..., None]
+    *_, frames, _ = shape = motion.rot.shape[:-2]
+    fits = all(k in (1, n) for k, n in zip(whole.shape[::-1], shape[::-1], strict=False))
+    if not fits or whole.shape[-2:-1] != (frames,) or whole.ndim > len(shape):
+        raise ShapeError(f"known: expected (..., {frames}) or {tuple(shape)}, got {tuple(known.shape)}")
+    if not whole.any(-2).all():
         raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")
-    return (known[..., None] if by_frame else known).expand(motion.rot.shape[:-2])
+    return whole.expand(shape)
 
 
 def nearest_known(known: Tensor) -> tuple[Tensor, Tensor]:
@@ -133,21 +130,23 @@ def one_euro(x: Tensor, fps: float, min_cutoff: float = 1.0, beta: float = 0.0, 
 
 
 def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
-    """Smooths x (..., T, D) by a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother.
+    """Smooths x (..., T, D) as a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother do; no gradient.
 
-    The mean of p given x in: x_t = p_t + noise, dp = v dt, dv = white noise.
+    The mean of p given x in: x_t = p_t + noise, dp = v dt, dv = white noise. It is a cubic smoothing spline, so that
+    one banded system gives all frames.
 
     Args:
         noise: standard deviation of a measurement, in units of x.
         acceleration: strength of the white acceleration, units of x / s^(3/2).
 
+    Source: Wahba 1978 (the mean is a spline); Reinsch 1967 (its system).
     Raises:
         ShapeError: no frames.
         ValueError: fps, noise or acceleration is not a finite number above zero (without spread nothing weighs
             one measurement against another).
         DataError: x is not finite.
     """
-    sizes = check_shape(x, "... T D", "x")
+    check_shape(x, "... T D", "x")
     for name, value in (("fps", fps), ("noise", noise), ("acceleration", acceleration)):
         if not 0 < value < torch.inf:
             raise ValueError(f"{name}: expected a finite number above zero, got {value}")
@@ -155,29 +154,16 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
         raise ShapeError(f"x {tuple(x.shape)}: nothing to smooth")
     if not x.isfinite().all():
         raise DataError("x holds NaN or infinity", remedy="fill it first")
-    if x.numel() > sizes["T"] ** 2:  # what it makes of x is a matrix times x
-        weights = kalman(torch.eye(sizes["T"], dtype=torch.float64, device=x.device), fps, noise, acceleration)
-        return (weights @ x.double()).to(x)
-    z, dt = x.double(), 1 / fps
-    step = z.new_tensor([[1.0, dt], [0.0, 1.0]])
-    q = acceleration**2 * z.new_tensor([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    mean = torch.zeros(*x.shape[:-2], sizes["D"], 2, 1, dtype=torch.float64, device=x.device)
-    spread = 1e6 * (z.abs().amax() + noise + acceleration) ** 2
-    cov = (spread * torch.eye(2, dtype=torch.float64, device=x.device)).expand(*mean.shape[:-2], 2, 2)
-    means, covs = [], []
-    for t in range(sizes["T"]):
-        if t:
-            mean, cov = step @ mean, step @ cov @ step.mT + q
-        gain = cov[..., :1] / (cov[..., :1, :1] + noise**2)
-        mean = mean + gain * (z[..., t, :, None, None] - mean[..., :1, :])
-        cov = cov - gain * cov[..., :1, :]
-        means, covs = [*means, mean], [*covs, cov]
-    out = [means[-1]]
-    for mean, cov in zip(means[-2::-1], covs[-2::-1], strict=True):
-        ahead = step @ cov @ step.mT + q
-        gain = torch.linalg.solve(ahead, step @ cov).mT
-        out.append(mean + gain @ (out[-1] - step @ mean))
-    return torch.stack([m[..., 0, 0] for m in reversed(out)], -2).to(x)
+    if x.shape[-2] < 3:  # on one line
+        return x
+    from scipy.linalg import solveh_banded
+
+    z, stiff = x.movedim(-2, 0).double().numpy(force=True), (noise / acceleration) ** 2
+    system = stiff * fps**2 * np.array([1, -4, 6]) + np.array([0, 1 / 6, 2 / 3]) / fps  # diagonals, the main one last
+    bend = fps * np.diff(z, 2, axis=0).reshape(len(z) - 2, -1)
+    bend = solveh_banded(np.repeat(system[:, None], len(bend), 1), bend)  # second derivatives at inner frames
+    smooth = z - stiff * fps * np.diff(np.pad(bend, ((2, 2), (0, 0))), 2, axis=0).reshape(z.shape)
+    return torch.as_tensor(smooth).movedim(0, -2).to(x)
 
 
 def smooth(motion: Motion, smoother: Callable[[Tensor], Tensor]) -> Motion:

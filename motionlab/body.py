@@ -163,6 +163,15 @@ def lbs(
     return result
 
 
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """Computes unit normals (V, 3): the area-weighted mean of the faces around each vertex; y where it has none."""
+    a, b, c = vertices[faces].unbind(1)
+    face = torch.linalg.cross(b - a, c - a, dim=-1)
+    total = torch.zeros_like(vertices).index_add_(0, faces.reshape(-1), face.repeat_interleave(3, 0))
+    length = total.norm(dim=-1, keepdim=True)
+    return torch.where(length > 0, total / length, torch.tensor([0.0, 1.0, 0.0]).to(total))
+
+
 def _t_pose_offsets(joints: Tensor, bind_rot: Tensor, parents: Sequence[int]) -> Tensor:
     """Offsets (..., J, 3) in the T-pose from bind-pose positions (..., J, 3); the root's is zero."""
     up = list(parents[1:])

@@ -5,7 +5,7 @@
     print(found.report())                          # what was left out, and why
 
 Each source is parsed once and kept whole or not at all; a recording that changes, or code that would read it otherwise,
-is parsed again. A file that cannot be used is named and counted, or ends the run (``strict``).
+is parsed again. A file that cannot be used is named and counted.
 
 Source: thesis 4.1.2, "Data": normalised, on a standard skeleton, sequences held out.
 """
@@ -36,11 +36,10 @@ from motionlab.skeleton import STANDARD
 _FORMAT = 4  # of what is kept
 _SLOWEST = 10.0  # fps: between frames further apart nobody knows what happened
 _TOGETHER = 16  # recordings a job
-_WITHOUT = "leave it out of the folder, or assemble it without strict"
 #: Modules whose text decides what is kept.
 _READERS = (
     "cleaning", "contact", "corpus", "ik", "motion", "rest", "retarget", "rigs", "rotation", "skeleton",
-    "io/asf", "io/amass", "io/bvh", "io/clips", "io/judging", "io/reading", "io/recordings",
+    "io/asf", "io/bvh", "io/clips", "io/judging", "io/reading", "io/recordings", "io/smpl",
 )  # fmt: skip
 
 
@@ -121,7 +120,7 @@ def cache_folder() -> Path:
 
 
 def assemble(
-    folder: Path | str, sources: Sequence[str] | None = None, *, kept: Path | str | None = None, strict: bool = False,
+    folder: Path | str, sources: Sequence[str] | None = None, *, kept: Path | str | None = None,
     workers: int = 1, every: int = 1, reading: Mapping[str, object] | None = None, progress: bool = True,
 ) -> Corpus:  # fmt: skip
     """Makes a corpus of the recordings in a folder, one sub-folder per source; what is kept from before is read.
@@ -129,12 +128,10 @@ def assemble(
     Args:
         sources: names of sub-folders; None: all that hold motions with rotations.
         kept: folder of what is kept; None: :func:`cache_folder`.
-        strict: a source with a recording that cannot be used ends the run; otherwise it is counted in the report.
         workers: processes (a script that asks for several needs ``if __name__ == "__main__"``). every: only each n-th
             recording of a source. reading: options for those loaders that take them (``unit``, ``up``, ...).
 
     Raises:
-        DataError: ``strict``, and a recording cannot be used.
         MissingData: no such folder or source, or nothing usable in it.
     """
     folder, kept = Path(folder), Path(kept) if kept else cache_folder()
@@ -147,9 +144,6 @@ def assemble(
             checkpoint.keep(path, *_prepared(name, folder, files, workers, progress))
             stored = _read(path)
         takes, row = stored
-        if strict and row.refused:
-            file, why = next(iter(row.refused.items()))
-            raise DataError(why, path=folder / file, remedy=_WITHOUT)
         found += takes
         rows.append(row)
     if not found:
@@ -243,7 +237,7 @@ def _one(place: Path, path: Path, load: Callable, said: str) -> dict:
         whole = resample(replace(moved.motion, name=file.with_suffix("").as_posix()), FPS, "spline")
         cleaned = cleaning.clean(whole)
     except (DataError, MissingData, ValueError) as error:
-        return found | {"refused": _reason(error)}
+        return found | {"refused": getattr(error, "message", str(error))}
     found |= {"seconds": whole.seconds, "cut": dict(cleaned.seconds)}
     for stretch in cleaned.stretches:
         labelled = with_contacts(stretch)
@@ -256,14 +250,6 @@ def _one(place: Path, path: Path, load: Callable, said: str) -> dict:
             "missing": list(moved.unmapped), "frames": labelled.frames, "sole": labelled.skeleton.sole,
         })  # fmt: skip
     return found
-
-
-def _reason(error: Exception) -> str:
-    """What is wrong, without file, place and remedy."""
-    if not isinstance(error, DataError):
-        return str(error)
-    where = ", ".join(str(part) for part in (error.path, error.place) if part)
-    return error.args[0].removeprefix(f"{where}: ").removesuffix(f" (remedy: {error.remedy})")
 
 
 def _descriptions(place: Path) -> dict[str, str]:

@@ -14,7 +14,7 @@ class DataError(ValueError):
     """A file or a recording cannot be used: names the file, the place in it, and the remedy."""
 
     def __init__(self, message: str, *, path: object = None, place: str = "", remedy: str = "") -> None:
-        self.path, self.place, self.remedy = path, place, remedy
+        self.message, self.path, self.place, self.remedy = message, path, place, remedy
         where = ", ".join(str(part) for part in (path, place) if part)
         text = f"{where}: {message}" if where else message
         super().__init__(f"{text} (remedy: {remedy})" if remedy else text)
@@ -24,7 +24,6 @@ class MissingData(FileNotFoundError):
     """Data or software that the caller must fetch first; the message says how to get it."""
 
     def __init__(self, what: str, how_to_get: str = "") -> None:
-        self.how_to_get = how_to_get
         # Python makes what comes out of another process again, from its message alone
         super().__init__(f"{what} is missing. {how_to_get}" if how_to_get else what)
 

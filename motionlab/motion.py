@@ -1,7 +1,7 @@
 """Motion: the value that travels, and what can be done to any motion."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -178,29 +178,6 @@ def windows(motion: Motion, length: int, stride: int) -> Motion:
         return x.unfold(dim, length, stride).movedim(-1, dim + 1).movedim(dim, 0)
 
     return motion._each(unfold)
-
-
-def joined(motions: Iterable[Motion]) -> Motion:
-    """Joins windows (N_i, T) on one body into one batch; contacts only where all have them.
-
-    Raises:
-        ShapeError: none, or other bodies, lengths or rates than the first one's.
-    """
-    motions = list(motions)
-    if not motions:
-        raise ShapeError("joined: none to join")
-    first = motions[0]
-    if first.root.ndim != 3 or first.skeleton.offsets.ndim != 2:
-        raise ShapeError(f"joined: expected windows (N, T) on one body, got root {tuple(first.root.shape)}")
-    for other in motions[1:]:
-        here, there = first.skeleton.offsets, other.skeleton.offsets
-        same_body = here.shape == there.shape and torch.allclose(here, there, atol=1e-6)
-        if not same_body or other.frames != first.frames or other.fps != first.fps:
-            raise ShapeError("joined: expected windows of one length and rate on one body")
-    labelled = all(m.contacts is not None for m in motions)
-    contacts = torch.cat([m.contacts for m in motions]) if labelled else None
-    root, rot = (torch.cat([getattr(m, name) for m in motions]) for name in ("root", "rot"))
-    return replace(first, root=root, rot=rot, contacts=contacts)
 
 
 def mirror(motion: Motion) -> Motion:

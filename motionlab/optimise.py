@@ -191,14 +191,14 @@ def minimise_batch(
     inner: int = 20, memory: int = 100, tolerance_grad: float = 1e-7, tolerance_change: float | Tensor = 0.0,
     unit: bool = False, progress: bool | str = False,
 ) -> BatchFit:  # fmt: skip
-    """Lowers B energies by moving the variables (B, ...) that require gradients; the others are constants.
+    """Lowers B energies by moving the variables (B, ...).
 
     The tensors passed in are copied, never moved. Ctrl-C, a spent budget or numbers that are not finite end a
     clip's search at its best point.
 
     Args:
         energy: row by row (n,) from the variables (n, ...) of the clips that still run, by name, and their numbers.
-        variables: the start, all (B, ...) and, those that move, of one type and device.
+        variables: the start, all (B, ...), of one type and device.
         steps, inner: at most steps x inner iterations per clip.
         max_closures: never evaluate more often; None: 5/4 of the iterations, as torch's L-BFGS.
         memory: pairs that L-BFGS remembers, per clip.
@@ -210,8 +210,7 @@ def minimise_batch(
 
     Raises:
         NotConverged: no clip has a finite energy and gradient at the start.
-        ShapeError: the energy is not (n,), ``tolerance_change`` not (B,), or the variables differ in their first axis.
-        ValueError: no variable requires gradients, or those that do differ in type.
+        ShapeError: the energy is not (n,), or ``tolerance_change`` not (B,).
     """
     machine = _Machine(energy, variables, memory, steps * inner, tolerance_grad, unit)
     tolerance, each = torch.as_tensor(tolerance_change, dtype=torch.float64), (len(machine.clips),)
@@ -260,19 +259,8 @@ class _Machine:
         self, energy, variables: dict[str, Tensor], memory: int, iterations: int, tolerance_grad, unit
     ) -> None:
         self.iterations, self.tolerance_grad, self.unit = iterations, tolerance_grad, unit
-        moving = {name: value.detach() for name, value in variables.items() if value.requires_grad}
-        if not moving:
-            names = ", ".join(variables) or "no variables"
-            raise ValueError(f"nothing to optimise: none of {names} requires gradients")
-        if len({(value.dtype, value.device) for value in moving.values()}) > 1:
-            raise ValueError("the variables that move differ in type or device")
-        if len({value.shape[:1] for value in variables.values()}) > 1:
-            shapes = {name: tuple(value.shape) for name, value in variables.items()}
-            raise ShapeError(f"variables: expected a common first axis of clips, got {shapes}")
-        self.energy, self.names = energy, list(variables)
-        self.shapes = {name: value.shape[1:] for name, value in moving.items()}
-        self.fixed = {name: value.detach().clone() for name, value in variables.items() if name not in moving}
-        self.x = torch.cat([value.flatten(1) if value.ndim > 1 else value[:, None] for value in moving.values()], dim=1)
+        self.energy, self.shapes = energy, {name: value.shape[1:] for name, value in variables.items()}
+        self.x = torch.cat([value.detach().reshape(len(value), -1) for value in variables.values()], dim=1)
         self.d, self.g = torch.zeros_like(self.x), torch.zeros_like(self.x)
         self.best, self.best_energy = self.x.clone(), self.x.new_full((len(self.x),), math.inf)
         self.clips = [_Clip() for _ in self.x]
@@ -282,19 +270,17 @@ class _Machine:
     def running(self) -> list[int]:
         return [b for b, clip in enumerate(self.clips) if clip.reason is None]
 
-    def named(self, flat: Tensor, rows: Tensor | None = None) -> dict[str, Tensor]:
-        """All variables by name, from rows (n, N) of those that move."""
+    def named(self, flat: Tensor) -> dict[str, Tensor]:
+        """The variables by name, from rows (n, N)."""
         parts = flat.split([shape.numel() for shape in self.shapes.values()], dim=1)
-        moved = {n: part.reshape(-1, *shape) for (n, shape), part in zip(self.shapes.items(), parts, strict=True)}
-        fixed = self.fixed if rows is None else {name: value[rows] for name, value in self.fixed.items()}
-        return {name: moved[name] if name in moved else fixed[name] for name in self.names}
+        return {n: part.reshape(-1, *shape) for (n, shape), part in zip(self.shapes.items(), parts, strict=True)}
 
     def evaluate(self, at: Tensor, live: list[int]) -> tuple[Tensor, Tensor]:
         """Energies (B,) and gradients (B, N) at points (B, N), of those that live anew."""
         rows = torch.tensor(live, device=at.device)
         leaf = at[rows].requires_grad_()
         with torch.enable_grad():
-            value = self.energy(self.named(leaf, rows), rows)
+            value = self.energy(self.named(leaf), rows)
             if value.shape != leaf.shape[:1]:
                 raise ShapeError(f"energy: expected shape ({len(leaf)},), got {tuple(value.shape)}")
             (gradient,) = torch.autograd.grad(value.sum(), leaf)

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import DataError
-from motionlab.humor.shooting.coordinates import linearised, unwhiten
+from motionlab.humor.coordinates import linearised, unwhiten
 from motionlab.humor.testops import Fitted
 from motionlab.humor.unknowns import motion_of
 from motionlab.motion import Motion, runs
@@ -105,7 +105,7 @@ def sample(
 def rolled(fitted: Fitted, count: int, generator: torch.Generator, clip: int, temperature: float | Tensor) -> Motion:
     """Draws the motions (K, T) of :func:`sample` alone."""
     if fitted.problem is None or fitted.unknown is None:
-        remedy = 'fit with solver="shooting", at most 600 frames, and let stage 3 run'
+        remedy = 'fit with solver="shooting", and let stage 3 run'
         raise DataError("a fit that keeps no problem and unknowns: nothing to draw around", remedy=remedy)
     heat = torch.as_tensor(temperature, dtype=torch.float32).expand(max(count, 0))
     if count < 1 or not bool((heat > 0).all()):

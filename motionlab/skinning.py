@@ -1,6 +1,6 @@
 """Audits skinning weights: which joints move a vertex and which should; what is spurious; what pruning moves."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,19 +28,17 @@ class WeightReport(NamedTuple):
     small: int  #: how many they are
     share_of_nonzero: float  #: of the weights above 0
     share_of_all: float  #: of all V times J: the other reading of the thesis's 3 %
-    vertices: float  #: share of vertices that carry one
 
 
 def weight_report(body: BodyModel, threshold: float = SMALL) -> WeightReport:
-    """Counts a body's weights above 0 and below ``threshold``: how many, which shares, and how many vertices carry one.
+    """Counts a body's weights above 0 and below ``threshold``: how many, and which shares.
 
     Source: thesis 3.3.2 (3 % of SMPL's weights are non-zero but below 1e-2).
     """
     present = body.weights > 0
     small = present & (body.weights < threshold)
     count = int(small.sum())
-    vertices = float(small.any(1).double().mean())
-    return WeightReport(count, count / int(present.sum()), count / small.numel(), vertices)
+    return WeightReport(count, count / int(present.sum()), count / small.numel())
 
 
 def surface_distance(body: BodyModel) -> Tensor:
@@ -147,22 +145,14 @@ def prune(body: BodyModel, threshold: float = SMALL) -> BodyModel:
 
 def displaced_mm(body: BodyModel, other: BodyModel, motion: Motion) -> Tensor:
     """Computes the distance of two bodies' vertices in one motion: (T,) 95th percentile over them, mm."""
-    return torch.cat([1000 * away.quantile(0.95, dim=-1) for away in _apart(body, other, motion)])
+    return 1000 * displacement(body, other, motion).quantile(0.95, dim=-1)
 
 
-def displacement(body: BodyModel, other: BodyModel, motion: Motion) -> tuple[float, float]:
-    """Computes the mean and largest distance in metres of two bodies' vertices in one motion."""
-    total, largest = 0.0, 0.0
-    for away in _apart(body, other, motion):
-        total, largest = total + float(away.mean(1).sum()), max(largest, float(away.max()))
-    return total / motion.root[..., 0].numel(), largest
-
-
-def _apart(body: BodyModel, other: BodyModel, motion: Motion) -> Iterator[Tensor]:
-    """Distances (n, V) of two bodies' vertices, metres, a few frames at a time."""
-    for root, rot in zip(motion.root.flatten(0, -2).split(32), motion.rot.flatten(0, -4).split(32), strict=True):
-        pose = (motion.skeleton, root, rot)
-        yield torch.linalg.vector_norm(lbs(body, *pose) - lbs(other, *pose), dim=-1)
+def displacement(body: BodyModel, other: BodyModel, motion: Motion) -> Tensor:
+    """Computes the distances (T, V) in metres of two bodies' vertices in one motion, a few frames at a time."""
+    parts = zip(motion.root.split(32), motion.rot.split(32), strict=True)
+    poses = [(motion.skeleton, root, rot) for root, rot in parts]
+    return torch.cat([torch.linalg.vector_norm(lbs(body, *pose) - lbs(other, *pose), dim=-1) for pose in poses])
 
 
 def influence(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int]) -> Tensor:

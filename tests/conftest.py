@@ -79,10 +79,7 @@ def camera():
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder to train in, with a cache of its own."""
-    from motionlab.training import courses
-
     monkeypatch.setenv("MOTIONLAB_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(courses, "_give_way", lambda: None)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -14,7 +14,7 @@ import torch
 from motionlab import io
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.io import amass, asf, bvh, clips, gltf, keypoints, points, smpl
+from motionlab.io import asf, bvh, clips, gltf, keypoints, points, smpl
 from motionlab.io.cameras import load_camera, load_cameras
 from motionlab.io.keypoints import Footage
 from motionlab.io.points import Positions
@@ -52,22 +52,19 @@ LOADERS = {
     ".amc": load_amc,
     "deepmimic.txt": clips.load_deepmimic,
     "amp.npz": clips.load_amp,
-    "amass.npz": amass.load,
-    "anidance.npz": points.load_anidance,
+    "amass.npz": smpl.load_motion,
     "smpl.npz": smpl.load,
     "smpl.pkl": smpl.load,
     "openpose.json": load_openpose,
     ".trc": points.load_trc,
     ".c3d": points.load_c3d,
     **dict.fromkeys(("qualisys.xml", "captury.calib"), load_cameras),
-    "biomech.csv": lambda path: points.load_biomech(path, fps=50),
-    "projected.csv": lambda path: points.load_projected(path, camera=seeds.camera(), fps=50),
     ".glb": gltf.load,
     ".gltf": gltf.load,
     **dict.fromkeys(calibrated.SEEDS, lambda path: load_camera(path)[0]),
-    "gvhmr.pt": amass.load,
-    "wham.pkl": amass.load,
-    "phalp.pkl": amass.load,
+    "gvhmr.pt": smpl.load_motion,
+    "wham.pkl": smpl.load_motion,
+    "phalp.pkl": smpl.load_motion,
     "tram.npy": io.load_npy,
     "humanml.npy": io.load_npy,
     "features.npy": io.load_npy,

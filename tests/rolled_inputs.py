@@ -8,8 +8,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae, reorder
-from motionlab.humor.priors import InitGmm
+from motionlab.humor.priors import Cvae, InitGmm, reorder
 
 F64 = torch.float64
 

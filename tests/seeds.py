@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import results
 from motionlab import humanml
-from motionlab.io import amass, bvh, gltf
+from motionlab.io import bvh, gltf, smpl
 from motionlab.observation import Camera, look_at
 from motionlab.skeleton import STANDARD
 
@@ -137,10 +137,6 @@ def amass_arrays(columns: int = 156) -> dict:
     }
 
 
-def anidance_arrays() -> dict:
-    return {"positions_cm": np.random.default_rng(0).normal(size=(FRAMES, 24, 3)) * 50, "fps": np.array(25.0)}
-
-
 def smpl_arrays(joints: int = 24, vertices: int = 60) -> dict:
     """A body in SMPL's layout: 24 joints (or more), two of them hands, pose correctives, two betas."""
     draw = np.random.default_rng(0)
@@ -232,18 +228,6 @@ camera\t0\tCamera
 """
 
 
-def biomech_text() -> str:
-    groups = "Frame;Sub Frame;Annotations;CenterOfGravity;;;LWristPositions;;;LWristAngles;;;;Left Toe Out"
-    units = "\n;;;X;Y;Z;X;Y;Z;X;Y;Z;W;Left\n;;;mm;mm;mm;mm;mm;mm;;;;;deg\n"
-    rows = "".join(f"{n};0;;-1.5;2;{n};4;5;6;0;0;0;1;7\n" for n in range(FRAMES))
-    return f"Unknown recording time\nFrames;{FRAMES}\n;;;{groups.split(';', 3)[3]}{units}{rows}"
-
-
-def projected_text() -> str:
-    rows = "".join(f"{20 * n},0.4,0.3,0.{n}1,0.25\n" for n in range(FRAMES))
-    return f"Timestamps [ms],Hips,,Head,,\n{rows}"
-
-
 def gltf_text(glb: bytes) -> bytes:
     """A .gltf, with its numbers inside, of a GLB."""
     size = int.from_bytes(glb[12:16], "little")
@@ -259,8 +243,7 @@ SEEDS: dict[str, bytes] = {
     ".amc": AMC.encode(),
     "deepmimic.txt": json.dumps({"Loop": "wrap", "Frames": deepmimic_frames()}).encode(),
     "amp.npz": npz(**amp_arrays()),
-    "amass.npz": saved(amass.save, ".npz"),
-    "anidance.npz": npz(**anidance_arrays()),
+    "amass.npz": saved(smpl.save_motion, ".npz"),
     "smpl.npz": npz(**smpl_arrays()),
     "smpl.pkl": pickle.dumps(smpl_arrays(), protocol=2),
     "openpose.json": json.dumps(detected.openpose(18, "_2d")).encode(),
@@ -268,8 +251,6 @@ SEEDS: dict[str, bytes] = {
     ".c3d": c3d_bytes(),
     "qualisys.xml": qualisys_text().encode(),
     "captury.calib": captury_text().encode(),
-    "biomech.csv": biomech_text().encode(),
-    "projected.csv": projected_text().encode(),
     ".glb": saved(gltf.save, ".glb"),
     ".gltf": gltf_text(saved(gltf.save, ".glb")),
     **calibrated.SEEDS,

@@ -17,12 +17,12 @@ from motionlab.body import BodyModel
 from motionlab.contact import with_contacts
 from motionlab.diffusion.windows import on_standard
 from motionlab.errors import DataError
-from motionlab.io import amass, bvh, gltf
-from motionlab.metrics.pose import acceleration
+from motionlab.io import bvh, gltf, smpl
+from motionlab.metrics import acceleration
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 
-SAVE = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
+SAVE = {".bvh": bvh.save, ".npz": smpl.save_motion, ".glb": gltf.save}
 KEYS = "0,45,80-100,last"
 MIXAMO = {name: own.removeprefix("mixamorig:") for name, own in made("Mixamo")[1].items()}
 

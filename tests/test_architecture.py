@@ -11,20 +11,22 @@ ROOT = Path(__file__).resolve().parents[1]
 #: import goes strictly down, or stays inside its room: a module, or a package that is named here as a whole.
 FLOORS = """
     errors examples parallel
-    diffusion.sampling files optimise rotation skeleton
+    files optimise rotation skeleton
     checkpoint motion rigs
     body
     baselines cleaning contact heading humanml ik observation rest skinning
-    data_synth diffusion.encoder diffusion.features humor.body_shape humor.state io
+    data_synth diffusion.encoder diffusion.features diffusion.sampling humor.body_shape humor.state io
         metrics retarget viz
     splits
-    corpus diffusion.completer diffusion.model diffusion.windows humor.cvae
-    diffusion.inpainting diffusion.poses humor.energies humor.priors
+    corpus diffusion.completer diffusion.model diffusion.windows humor.priors
+    diffusion.poses humor.energies
     bench humor.compiled humor.evidence humor.pretrained
     humor.rollout
-    humor.quality humor.unknowns
+    humor.unknowns
     humor.stages humor.start
-    humor.shooting
+    humor.gauss_newton
+    humor.coordinates
+    humor.feedback_solver
     humor.testops
     posterior
     animate footage training

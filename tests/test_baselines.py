@@ -9,7 +9,7 @@ import twins
 
 from motionlab import baselines, rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.metrics.pose import jitter, mean_acceleration
+from motionlab.metrics import jitter, mean_acceleration
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 
@@ -58,20 +58,19 @@ def test_nothing_known_and_wrong_masks_are_refused(generator):
     motion = swinging(generator, frames=6)
     with pytest.raises(ShapeError, match="no frame"):
         baselines.interpolate(motion, torch.zeros(6))
-    with pytest.raises(ShapeError, match="expected"):
-        baselines.interpolate(motion, torch.ones(5))
+    for wrong in (torch.ones(5), torch.ones(6, 21), torch.ones(2, 6, 22), torch.ones(())):
+        with pytest.raises(ShapeError, match="expected"):
+            baselines.interpolate(motion, wrong)
 
 
-def test_a_mask_that_can_be_read_in_two_ways_is_refused(generator):
-    """22 frames, 22 joints, 22 clips: (22, 22) hides frames of clips or joints of frames."""
+def test_a_mask_says_by_its_axes_whether_it_hides_frames_or_joints(generator):
+    """22 frames, 22 joints, 22 clips: (22, 22) hides frames of clips, or joints of the frames of one."""
     motion = swinging(generator, (22,), frames=22)
     known = torch.ones(22, 22, dtype=torch.bool)
     known[3, 5] = False
-    with pytest.raises(ShapeError, match="all axes"):
-        baselines.interpolate(motion, known)
     lost = replace(motion, root=motion.root.clone(), rot=motion.rot.clone())
     lost.root[3, 5], lost.rot[0, 3, 5] = 9.0, torch.eye(3)
-    filled = baselines.interpolate(lost, known[..., None].expand(22, 22, 22))
+    filled = baselines.interpolate(lost, known)
     assert filled.root[3, 5].max() < 9 and torch.equal(filled.root[4], lost.root[4])
     single, filled = lost.clip(0), baselines.interpolate(lost.clip(0), known)
     assert not torch.equal(filled.rot[3, 5], single.rot[3, 5]) and torch.equal(filled.rot[3, 4], single.rot[3, 4])
@@ -127,14 +126,7 @@ def test_kalman_smoother_agrees_with_dense_least_squares(generator):
     x = torch.randn(25, 2, generator=generator, dtype=F64).cumsum(0)
     found = baselines.kalman(x, 30.0, 0.5, 20.0)
     for d in range(2):
-        np.testing.assert_allclose(found[:, d], dense_smoother(x[:, d].numpy(), 1 / 30, 0.5, 20.0), atol=1e-4)
-
-
-def test_kalman_of_many_columns_is_that_of_few(generator):
-    """Where there are more numbers than pairs of frames, they go through one matrix."""
-    x = 5 * torch.randn(2, 25, 30, generator=generator, dtype=F64).cumsum(-2)
-    found = baselines.kalman(x, 30.0, 0.5, 20.0)
-    assert (found[0, :, :25] - baselines.kalman(x[0, :, :25], 30.0, 0.5, 20.0)).abs().max() < 1e-6
+        np.testing.assert_allclose(found[:, d], dense_smoother(x[:, d].numpy(), 1 / 30, 0.5, 20.0), atol=1e-7)
 
 
 @pytest.mark.parametrize("name", ["fps", "noise", "acceleration"])

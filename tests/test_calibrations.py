@@ -78,7 +78,7 @@ def test_several_cameras_are_told_by_name(tmp_path):
     [
         ({"intrinsics": [[0.7, 0, 0.5], [0, 1.25, 0.5], [0, 0, 1]]}, ("pixels for an image", "in pixels")),
         ({"intrinsics": [[4.2, 0, 650], [0, 4.2, 350], [0, 0, 1]]}, ("pixels for an image",)),  # in mm
-        ({"intrinsics": [[-900, 0, 650], [0, 900, 350], [0, 0, 1]]}, ("positive focal length",)),
+        ({"intrinsics": [[-900, 0, 650], [0, 900, 350], [0, 0, 1]]}, ("focal lengths of -900",)),
         ({"intrinsics": [[900, 0, 650], [0, 900, 350], [0, 0, 2]]}, ("0 0 1",)),
         ({"intrinsics": [[900, 90, 650], [0, 900, 350], [0, 0, 1]]}, ("skewed",)),
         ({"intrinsics": [[900, 0, 2650], [0, 900, 350], [0, 0, 1]]}, ("far outside",)),

@@ -9,7 +9,7 @@ from safetensors.torch import save as save_tensors
 from motionlab import checkpoint
 from motionlab.errors import DataError
 from motionlab.humor import pretrained
-from motionlab.humor.cvae import Cvae, official_weights
+from motionlab.humor.priors import Cvae, official_weights
 
 RECIPE = {"what": "a test", "seed": 3}
 

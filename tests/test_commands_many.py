@@ -98,8 +98,6 @@ def test_files_of_a_folder_that_are_passed_over_are_counted(motions, tmp_path, c
         (("motions/walk0.bvh", "motions/../motions/walk0.bvh"), "this is the file that was opened"),
         (("motions/walk0.bvh", "one.fbx"), "use one of .bvh, .npz, .glb"),
         (("empty", "made"), "no motion (.bvh, .npz, .glb, .npy) in this folder"),
-        (("motions", "made", "--jobs", "0"), "give a number above 0"),
-        (("motions", "made", "--jobs", "2", "--cluster", "tcp://127.0.0.1:1"), "leave out --jobs"),
         (("motions", "made", "--cluster", "tcp://127.0.0.1:1"), "no Dask scheduler answers"),
     ],
 )
@@ -110,6 +108,19 @@ def test_folders_that_cannot_be_used(motions, tmp_path, monkeypatch, capsys, wor
     assert inbetween(tmp_path / words[0], tmp_path / words[1], *words[2:]) == 2
     assert said in capsys.readouterr().err
     assert before == {path: path.read_bytes() for path in motions.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--jobs", "0"), "a whole number above 0"),
+        (("--jobs", "2", "--cluster", "tcp://127.0.0.1:1"), "not allowed with"),
+    ],
+)
+def test_options_that_do_not_go_together(motions, tmp_path, capsys, words, said):
+    with pytest.raises(SystemExit):
+        inbetween(motions, tmp_path / "made", *words)
+    assert said in capsys.readouterr().err and not (tmp_path / "made").exists()
 
 
 # ------------------------------------------------------------------------------------------------------------ fit
@@ -168,7 +179,7 @@ def test_each_clip_of_a_folder_becomes_a_scene_and_finished_ones_are_skipped(
 
     def no_run(function, clips, *, finished, **how):
         found.append([finished(clip) for clip in clips])
-        return batch.Batch(())
+        return batch.Batch({}, (), {})
 
     monkeypatch.setattr(batch, "run_many", no_run)
     assert fit_each(two_at_once) == fit_each(two_at_once, "--person", "all") == 0
@@ -202,7 +213,7 @@ def test_clips_are_put_together_by_their_names(footage):
     [
         (("--each", "--people"), "lists the people of one clip"),
         (("--jobs", "2"), "give folders of clips and --each"),
-        (("--each", "--keypoints", "nowhere"), "no such folder"),
+        (("--each", "--keypoints", "nowhere"), "holds no clips"),
     ],
 )
 def test_options_of_many_clips_that_cannot_be_used(footage, monkeypatch, capsys, words, said):
@@ -215,7 +226,7 @@ def test_options_of_many_clips_that_cannot_be_used(footage, monkeypatch, capsys,
 
 def test_paths_of_options_are_the_same_where_workers_stand(footage, monkeypatch):
     asked = []
-    monkeypatch.setattr(batch, "run_many", lambda function, *_, **__: asked.append(function) or batch.Batch(()))
+    monkeypatch.setattr(batch, "run_many", lambda function, *_, **__: asked.append(function) or batch.Batch({}, (), {}))
     monkeypatch.chdir(footage)
     options = {"--camera": "camera", "--prior": "prior", "--pose-prior": "pose_prior", "--initial": "initial"}
     fit_each(footage, *(word for option in options for word in (option, "a.npz")))

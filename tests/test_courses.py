@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from motionlab import checkpoint, splits
-from motionlab.bench.cases import PersonWindows
+from motionlab.bench import PersonWindows
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from motionlab import checkpoint, rotation
+from motionlab import bench, checkpoint, rotation
 from motionlab.baselines import Noise, denoised, smooth_curves
-from motionlab.bench import cases, judge
-from motionlab.bench.cases import PersonWindows
+from motionlab.bench import PersonWindows
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import Completer, CompleterRecipe
@@ -160,8 +159,8 @@ def test_it_learns_what_curves_do_not_know(data):
     mine = replace(data, begins=data.begins[[80, 250]], mirrored=False, people=None)
     run = CompleterTraining(replace(TINY, steps=150, kinds=(("legs", 1.0),), average=0.9), mine)
     some = replace(mine.evenly(2), skeleton=STANDARD)
-    known = cases.legs(2, FRAMES)
-    error = lambda: cases.error_cm(run.averaged.complete(some, known), some, known).mean()  # noqa: E731
+    known = bench.legs(2, FRAMES)
+    error = lambda: bench.error_cm(run.averaged.complete(some, known), some, known).mean()  # noqa: E731
     first = error()
     assert first > 2.0
     run.run()
@@ -315,33 +314,33 @@ def test_windows_are_drawn_evenly_by_person(motions):
 
 @pytest.fixture
 def people(motions):
-    whole = gather([on_standard(m) for m in motions], judge.FRAMES).evenly(4)
+    whole = gather([on_standard(m) for m in motions], bench.FRAMES).evenly(4)
     motion = replace(whole, skeleton=STANDARD)
     return PersonWindows(motion, torch.tensor([0, 0, 1, 1]), torch.zeros(4, 1, features.UNITS, dtype=torch.bool))
 
 
 def test_the_truth_is_judged_as_the_truth_and_nobody_else(people):
-    case = judge.CASES["gap of 30 frames"]
-    truth = judge.judged(lambda motion, known: people.motion, case, people)
+    case = bench.CASES["gap of 30 frames"]
+    truth = bench.judged(lambda motion, known: people.motion, case, people)
     assert float(truth["cm"].max()) < 1e-4 and torch.allclose(truth["acceleration"], torch.ones(2).double())
     lifted = replace(people.motion, root=people.motion.root + torch.tensor([0.0, 0.0, 0.1]))
-    off = judge.judged(lambda motion, known: lifted, case, people)
+    off = bench.judged(lambda motion, known: lifted, case, people)
     assert torch.allclose(off["cm"], torch.full((2,), 10.0).double(), atol=1e-3)
 
 
 def test_lone_keys_are_so_many_frames_apart_and_as_far_from_either_end():
-    assert cases.keys(1, 60, 15)[0, :, 0].nonzero()[:, 0].tolist() == [7, 22, 37, 52]
-    assert cases.keys(1, 31, 15)[0, :, 0].nonzero()[:, 0].tolist() == [0, 15, 30]
-    assert cases.keys(2, 9, 4).all(-1).sum() == 2 * 3  # contacts, too
+    assert bench.keys(1, 60, 15)[0, :, 0].nonzero()[:, 0].tolist() == [7, 22, 37, 52]
+    assert bench.keys(1, 31, 15)[0, :, 0].nonzero()[:, 0].tolist() == [0, 15, 30]
+    assert bench.keys(2, 9, 4).all(-1).sum() == 2 * 3  # contacts, too
 
 
 def test_the_energy_score_rewards_draws_about_the_truth(people):
-    truth, known = people.motion, cases.gap(4, judge.FRAMES, 30)
+    truth, known = people.motion, bench.gap(4, bench.FRAMES, 30)
     up, down = (replace(truth, root=truth.root + torch.tensor([0.0, 0.0, x])) for x in (0.1, -0.1))
-    one = judge.energy_score([up], truth, known)
+    one = bench.energy_score([up], truth, known)
     assert torch.allclose(one, torch.full((4,), 10.0), atol=1e-3)
-    assert judge.energy_score([up, down], truth, known).abs().max() < 1e-3  # mean error 10, mean distance 20
-    assert torch.allclose(judge.energy_score([up, up], truth, known), one, atol=1e-3)
+    assert bench.energy_score([up, down], truth, known).abs().max() < 1e-3  # mean error 10, mean distance 20
+    assert torch.allclose(bench.energy_score([up, up], truth, known), one, atol=1e-3)
 
 
 def test_who_corrects_what_was_smoothed_is_judged_beside_the_smoother(people, monkeypatch):
@@ -370,7 +369,7 @@ def kept_in_cache() -> Path:
 
 
 def test_training_writes_what_is_better_only(motions, people, here):
-    data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
+    data = gather([on_standard(m) for m in motions], bench.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
     recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1)
     how = {"every": 2, "schedules": 1}
     courses.go_on(CompleterCourse("completer", recipe, None, (data, people)), MINE, **how)
@@ -387,13 +386,13 @@ def test_training_writes_what_is_better_only(motions, people, here):
             CompleterCourse("completer_draws", replace(recipe, diffusion=True), None, (data, people)), MINE, **how
         )
     with pytest.raises(DataError, match="--data"):
-        courses.learnt_from(None, judge.FRAMES)
+        courses.learnt_from(None, bench.FRAMES)
 
 
 @pytest.mark.parametrize("rough", [False, True])
 def test_training_that_was_killed_goes_on_as_if_it_had_not_been(motions, people, here, monkeypatch, rough):
     """At step 3 of 4: the resumed run ends with the weights of one that nobody stopped."""
-    data = gather([on_standard(m) for m in motions], judge.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
+    data = gather([on_standard(m) for m in motions], bench.FRAMES, people=["a", *["b"] * (len(motions) - 1)])
     recipe = CompleterRecipe(size=64, layers=1, batch=4, steps=4, warm_up=1, refines=rough)
     how = {"every": 2, "schedules": 1}
     whole = CompleterTraining(recipe, data)

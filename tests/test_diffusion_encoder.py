@@ -10,16 +10,16 @@ import torch
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
 from motionlab import splits
-from motionlab.__main__ import main
 from motionlab.diffusion import encoder
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import Frame, local_to_world
-from motionlab.metrics.generation import frechet
+from motionlab.metrics import frechet
 from motionlab.motion import mirror
 from motionlab.rotation import rotation_about
 from motionlab.skeleton import STANDARD
-from motionlab.training import courses, recipes
+from motionlab.training import recipes
+from studies.shared import feature_training
 
 TINY = encoder.EncoderRecipe(frames=12, size=6, width=8, steps=120, batch=8, lr=5e-3, seed=3)
 PARTS = list(encoder.FEATURE_GROUPS.values())
@@ -42,7 +42,7 @@ def some(data):
 
 @pytest.fixture(scope="module")
 def trained(data, some):
-    return recipes.train_encoder(data, TINY, some)
+    return feature_training.train_encoder(data, TINY, some)
 
 
 def test_signals_do_not_know_place_or_heading(some):
@@ -78,9 +78,9 @@ def test_training_learns_and_is_the_same_again(data, some, trained):
     features, curve = trained
     assert curve[-1]["loss"] < 0.8 * curve[0]["loss"] and curve[-1]["place"] < 0.3
     assert curve[-1]["joints"] < curve[0]["joints"]
-    again, _ = recipes.train_encoder(data, TINY, some)
+    again, _ = feature_training.train_encoder(data, TINY, some)
     assert torch.equal(again(some), features(some))
-    other, _ = recipes.train_encoder(data, replace(TINY, seed=4))
+    other, _ = feature_training.train_encoder(data, replace(TINY, seed=4))
     assert not torch.allclose(other(some), features(some))
 
 
@@ -125,9 +125,9 @@ def test_files_of_something_else_are_refused(trained, tmp_path):
         encoder.motion_encoder(tmp_path / "f")
 
 
-def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):
+def test_it_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):
     """And watches what is missed of validation people."""
-    asked, train_encoder = [], recipes.train_encoder
+    asked, train_encoder = [], feature_training.train_encoder
 
     def trained(windows, recipe, held, **how):
         asked.append((windows.digest, held))
@@ -135,12 +135,10 @@ def test_the_command_trains_on_the_people_who_train(motions, tmp_path, monkeypat
 
     found = recipes.RealMotions({splits.RECORDED: motions[:1]}, {"validation people": motions[1:]}, {})
     monkeypatch.setattr(recipes, "real_motions", lambda folder: found)
-    monkeypatch.setattr(recipes, "train_encoder", trained)
-    monkeypatch.setattr(courses, "EncoderRecipe", lambda: replace(TINY, frames=60))
-    how = "--steps 3 --seed 2"
-    assert main(["train", "features", *how.split(), "--data", "x", "--out", str(tmp_path / "f")]) == 0
+    monkeypatch.setattr(feature_training, "train_encoder", trained)
+    feature_training.make_encoder("x", tmp_path / "f", replace(TINY, frames=60, steps=3, seed=2))
     about = json.loads((tmp_path / "f.json").read_text())
     (digest, held), (mine, other) = asked[0], (gather([on_standard(m)], 60) for m in motions)
     assert digest == mine.digest and torch.equal(held.root, other.evenly(256).root)
-    assert about["command"] == f"python -m motionlab train features {how} --data FOLDER"
+    assert about["command"].endswith("FOLDER --steps 3 --seed 2")
     assert about["curve"][-1]["step"] == 3 and about["recipe"]["seed"] == 2

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from motionlab.diffusion import inpainting, sampling
+from motionlab.diffusion import sampling
 from motionlab.diffusion.sampling import cosine
 from studies.nb10_how_it_works.checks import GaussianData
 
@@ -41,7 +41,7 @@ def made(denoise, after, count, generator):
 def test_the_known_part_is_noised_to_the_step_before(generator):
     """Eq. 4.10: mean and spread of what is put back behind step t are those of x_{t-1}."""
     known = torch.full((20_000, T, 1), 2.0, dtype=torch.float64)
-    after = inpainting._replace(SCHEDULE, known, M, generator)
+    after = sampling._replace(SCHEDULE, known, M, generator)
     for t in (1, 30, 59):
         x = after(torch.full_like(known, -7.0), known, t)
         a = SCHEDULE.alpha_bar[t - 1]
@@ -53,7 +53,7 @@ def test_the_known_part_is_noised_to_the_step_before(generator):
 
 def test_guided_estimates_end_exact(data, denoise, generator):
     known = curves(data, 5, generator)
-    x = made(inpainting._guided(denoise, SCHEDULE, known, M, 1.0), None, 5, generator)
+    x = made(sampling._guided(denoise, SCHEDULE, known, M, 1.0), None, 5, generator)
     assert (x[:, :8] - known[:, :8]).abs().max() < 1e-12 and (x[:, 12] - known[:, 12]).abs().max() > 1e-3
 
 
@@ -74,20 +74,20 @@ def test_guidance_comes_nearer_to_the_exact_conditional(data, denoise, generator
         mean = x[:, ~M[:, 0].bool(), 0].reshape(6, 150, -1).mean(1)
         return (mean - truth[::150]).square().mean().sqrt().item()
 
-    over = inpainting._replace(SCHEDULE, known, M, generator)
+    over = sampling._replace(SCHEDULE, known, M, generator)
     plain = made(denoise, over, 900, generator)
-    guided = made(inpainting._guided(denoise, SCHEDULE, known, M, 2.0), None, 900, generator)
+    guided = made(sampling._guided(denoise, SCHEDULE, known, M, 2.0), None, 900, generator)
     ignorant = made(denoise, None, 900, generator)
     assert miss(guided) < 0.85 * miss(plain) < 0.7 * miss(ignorant)
 
 
 def test_soft_masks_fall_beside_what_is_known():
-    m = torch.zeros(10, 2)
-    m[:3, 0] = 1
-    soft = inpainting._ramped(m, 3)
+    known = torch.zeros(10, 2, dtype=torch.bool)
+    known[:3, 0] = True
+    _, soft = sampling._softened(torch.zeros(10, 2), known, 3)
     assert soft[:, 0].tolist() == pytest.approx([1, 1, 1, 0.75, 0.5, 0.25, 0, 0, 0, 0])
     assert soft[:, 1].abs().max() == 0
-    assert torch.equal(inpainting._ramped(m, 0), m)
+    assert torch.equal(sampling._softened(torch.zeros(10, 2), known, 0)[1], known.float())
 
 
 def test_the_finish_is_exact_and_smooth():
@@ -97,7 +97,7 @@ def test_the_finish_is_exact_and_smooth():
     known = (2 + 0.2 * time)[None, :, None]
     m = torch.zeros(60, 1)
     m[:10], m[-10:] = 1, 1
-    found = inpainting.offset_decay(x, known, m, 15)
+    found = sampling.offset_decay(x, known, m, 15)
     assert torch.equal(found[:, :10], known[:, :10]) and torch.equal(found[:, -10:], known[:, -10:])
     assert torch.equal(found[:, 26:34], x[:, 26:34])  # beyond both fades
     bend = found.diff(n=2, dim=1).abs().max()
@@ -109,10 +109,10 @@ def test_the_finish_in_a_short_gap_and_at_one_side(generator):
     x, known = (torch.randn(2, 20, 3, generator=generator).cumsum(1) for _ in range(2))
     m = torch.ones(20, 3)
     m[8:11], m[15:, 2] = 0, 0
-    found = inpainting.offset_decay(x, known, m, 10)
+    found = sampling.offset_decay(x, known, m, 10)
     sure = m.bool().expand_as(x)
     assert torch.equal(found[sure], known[sure]) and found.isfinite().all()
-    same = inpainting.offset_decay(known, known, m, 10)
+    same = sampling.offset_decay(known, known, m, 10)
     assert torch.equal(same, known)
-    nothing = inpainting.offset_decay(x, known, torch.zeros(20, 3), 10)
+    nothing = sampling.offset_decay(x, known, torch.zeros(20, 3), 10)
     assert torch.equal(nothing, x)

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import nn
 
-from motionlab.diffusion import inpainting
+from motionlab.diffusion import sampling
 from motionlab.diffusion.features import Normaliser, units
-from motionlab.diffusion.inpainting import Inpainting
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion
+from motionlab.diffusion.sampling import Inpainting
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
 from motionlab.skeleton import STANDARD
@@ -56,20 +56,20 @@ def model_of(motion):
 def test_with_a_perfect_denoiser_every_way_returns_the_truth_where_it_was(motion, generator, way):
     model = model_of(motion)
     known = whole_frames(model, [0, 1, 2, 9, 10, 11])
-    made = inpainting.inpaint(model, motion, known, generator, replace(WAYS[way], steps=10))
+    made = model.inpaint(motion, known, generator, replace(WAYS[way], steps=10))
     assert (made.positions - motion.positions).abs().max() < 1e-3
     assert made.fps == motion.fps and motion.root[..., :2].std() > 0.05  # they were not at the origin
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_hidden_numbers_are_never_read(motion, way):
-    model = model_of(motion)
+    model, way = model_of(motion), replace(WAYS[way], steps=5)
     known = torch.isin(units(model.layout), torch.tensor(STANDARD.indices(["spine1", "spine2", "neck"])))
     known = known.expand(12, -1)
     x0 = model.encode(motion)
     spoilt = torch.where(known, x0, float("nan"))
     first, second = (
-        inpainting.inpaint_features(model, x, known, torch.Generator().manual_seed(1), replace(WAYS[way], steps=5))
+        sampling.inpaint(model.denoiser, model.schedule, x, known, torch.Generator().manual_seed(1), way)
         for x in (x0, spoilt)
     )
     assert first.isfinite().all() and torch.equal(first, second)
@@ -83,7 +83,7 @@ def test_known_numbers_are_exact_unless_the_last_replacement_is_left_out(motion,
     ways = {"last": Inpainting(steps=9), "not": left, "finish": Inpainting(replace_last=False, blend_frames=3)}
     ways |= {"guided": replace(ways["last"], guidance_weight=1.0), "guided, not": replace(left, guidance_weight=1.0)}
     gaps = {
-        name: (inpainting.inpaint_features(model, x0, known, generator, way) - x0)[:, known].abs().max()
+        name: (sampling.inpaint(model.denoiser, model.schedule, x0, known, generator, way) - x0)[:, known].abs().max()
         for name, way in ways.items()
     }
     assert gaps["last"] < 1e-6 and gaps["finish"] < 1e-6 and gaps["not"] > 0.1
@@ -94,11 +94,11 @@ def test_an_unknown_number_takes_the_nearest_known_value_for_a_soft_mask():
     x = torch.arange(6.0)[None, :, None].expand(1, 6, 2).contiguous()
     known = torch.zeros(6, 2, dtype=torch.bool)
     known[[1, 5], 0] = True
-    held = inpainting._nearest_held(torch.where(known, x, 0.0), known)
+    held, _ = sampling._softened(torch.where(known, x, 0.0), known, 3)
     assert held[0, :, 0].tolist() == [1, 1, 1, 1, 5, 5] and not held[0, :, 1].any()
 
 
 def test_what_makes_no_sense_is_refused(motion, generator):
     model = model_of(motion)
     with pytest.raises(ShapeError, match="known"):
-        inpainting.inpaint(model, motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)
+        model.inpaint(motion, torch.ones(11, model.layout.size, dtype=torch.bool), generator)

@@ -1,4 +1,4 @@
-"""The rivals: the conditional mean of a Gaussian in closed form, planted neighbours, filters that are tuned."""
+"""The rivals: the conditional mean of a Gaussian in closed form, planted neighbours."""
 
 from dataclasses import replace
 
@@ -7,9 +7,8 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import rotation
-from motionlab.bench import cases
-from motionlab.bench.judge import Rivals
+from motionlab import bench, rotation
+from motionlab.bench import Rivals
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import ShapeError
 from motionlab.skeleton import STANDARD
@@ -40,7 +39,7 @@ def test_regression_is_the_conditional_mean_of_the_gaussian(fitted, ridge):
     generator = torch.Generator().manual_seed(1)
     mask = torch.rand(fitted.factor.shape[0], generator=generator) < 0.4
     x = torch.randn(2, len(mask), generator=generator)
-    z = fitted._explained(x - fitted.mean_row, mask / ridge)
+    z = fitted.explained(x - fitted.mean_row, mask / ridge)
     factor = fitted.factor.double()
     covariance = factor @ factor.mT
     inside = covariance[mask][:, mask] + ridge * torch.eye(int(mask.sum()))
@@ -53,7 +52,7 @@ def test_draws_spread_as_the_gaussian_does_that_is_left(fitted):
     """The covariance of many draws of what is hidden, against the conditional one in closed form."""
     mask = torch.rand(fitted.factor.shape[0], generator=torch.Generator().manual_seed(1)) < 0.4
     row = fitted.mean_row.expand(20_000, -1)
-    z = fitted._explained(row - fitted.mean_row, mask / 1.0, torch.Generator().manual_seed(2)).double()
+    z = fitted.explained(row - fitted.mean_row, mask / 1.0, torch.Generator().manual_seed(2)).double()
     factor = fitted.factor.double()
     cut = factor[mask]
     inside = cut @ cut.mT + torch.eye(len(cut), dtype=torch.float64)
@@ -82,14 +81,14 @@ def test_the_second_nearest_is_of_another_clip(takes, fitted):
 def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way, case, generator):
     truth, count = takes[1], len(takes[1].root)
     known = {
-        "legs": lambda: cases.legs(count, FRAMES),
-        "every_frame": lambda: cases.every_frame(count, FRAMES, 0.5, generator),
-        "whole_window": lambda: cases.whole_window(count, FRAMES, 0.5, generator),
-        "gap": lambda: cases.gap(count, FRAMES, 6),
-        "keys": lambda: cases.keys(count, FRAMES, 7),
+        "legs": lambda: bench.legs(count, FRAMES),
+        "every_frame": lambda: bench.every_frame(count, FRAMES, 0.5, generator),
+        "whole_window": lambda: bench.whole_window(count, FRAMES, 0.5, generator),
+        "gap": lambda: bench.gap(count, FRAMES, 6),
+        "keys": lambda: bench.keys(count, FRAMES, 7),
     }[case]()
     made = getattr(fitted, way)(truth, known)
-    joints, place = known[..., : cases.JOINTS], known[..., cases.JOINTS]
+    joints, place = known[..., : bench.JOINTS], known[..., bench.JOINTS]
     assert torch.equal(made.rot[joints], truth.rot[joints]) and torch.equal(made.root[place], truth.root[place])
     joints, place = joints.clone(), place.clone()
     joints[:, 0, 0] = place[:, 0] = True  # the first frame's place and heading are given
@@ -106,4 +105,4 @@ def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way
 
 def test_a_window_may_not_be_told_of_another_ones_mask(takes, fitted):
     with pytest.raises(ShapeError, match="known"):
-        fitted.nearest(takes[1], cases.legs(5, FRAMES))
+        fitted.nearest(takes[1], bench.legs(5, FRAMES))

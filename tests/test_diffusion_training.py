@@ -145,7 +145,7 @@ def test_foreign_files_are_refused(model, tmp_path, how):
     [
         (["small", "--more"], "takes no --more"),
         (["diffusion_plain"], "with --data"),
-        (["features"], "with --data"),
+        (["small"], "with --data"),
     ],
 )
 def test_the_command_says_what_is_wrong(tmp_path, monkeypatch, capsys, arguments, complaint):

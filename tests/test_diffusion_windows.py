@@ -8,7 +8,7 @@ import torch
 from motionlab.diffusion import windows
 from motionlab.diffusion.features import UNITS
 from motionlab.errors import DataError, ShapeError
-from motionlab.metrics.gait import slide_in_contact_mm
+from motionlab.metrics import slide_in_contact_mm
 from motionlab.motion import fix_root_horizontally, mirror
 from motionlab.skeleton import STANDARD
 

@@ -36,4 +36,4 @@ def test_data_error_names_file_place_and_remedy():
 
 def test_other_errors_carry_what_helps():
     missing = MissingData("the body", "Run make setup.")
-    assert str(missing) == "the body is missing. Run make setup." and missing.how_to_get == "Run make setup."
+    assert str(missing) == "the body is missing. Run make setup."

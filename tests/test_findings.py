@@ -4,8 +4,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from motionlab import metrics
 from motionlab.errors import DataError
-from motionlab.metrics import intervals
 from suite import findings, staleness
 from suite.findings import FAILS, HOLDS, UNJUDGED, Criterion, Finding, Record
 from tests.test_staleness import ledger
@@ -51,7 +51,7 @@ def test_interval_covers_the_true_mean_as_often_as_it_says():
     generator = torch.Generator().manual_seed(0)
     trials, hits = 300, 0
     for _ in range(trials):
-        _, low, high = intervals.interval(torch.randn(40, generator=generator) + 5.0, "mean", generator, draws=400)
+        _, low, high = metrics.interval(torch.randn(40, generator=generator) + 5.0, "mean", generator, draws=400)
         hits += low <= 5.0 <= high
     # percentile bootstrap at n = 40 covers about 93-94 %; 300 trials have a standard error of 1.4 %
     assert 0.89 <= hits / trials <= 0.98
@@ -59,17 +59,17 @@ def test_interval_covers_the_true_mean_as_often_as_it_says():
 
 def test_interval_is_reproducible_and_depends_on_the_generator():
     x = torch.randn(30, generator=torch.Generator().manual_seed(1))
-    first, second, other = (intervals.interval(x, "median", torch.Generator().manual_seed(seed)) for seed in (3, 3, 4))
+    first, second, other = (metrics.interval(x, "median", torch.Generator().manual_seed(seed)) for seed in (3, 3, 4))
     assert first == second
     assert first != other
 
 
 def test_share_matches_the_published_wilson_interval():
     # Wilson 95 % interval of 0 of 20: [0, 0.161]; of 10 of 20: [0.299, 0.701] (Newcombe 1998, method 3)
-    _, low, high = intervals.interval(torch.zeros(20), "share", torch.Generator())
+    _, low, high = metrics.interval(torch.zeros(20), "share", torch.Generator())
     assert (low, round(high, 3)) == (0.0, 0.161)
     half = torch.cat((torch.zeros(10), torch.ones(10)))
-    value, low, high = intervals.interval(half, "share", torch.Generator())
+    value, low, high = metrics.interval(half, "share", torch.Generator())
     assert (value, round(low, 3), round(high, 3)) == (0.5, 0.299, 0.701)
 
 

@@ -18,7 +18,7 @@ from motionlab.errors import DataError
 from motionlab.footage import fit, scene_fit, scene_report
 from motionlab.humor import testops
 from motionlab.humor.priors import InitGmm
-from motionlab.io import amass
+from motionlab.io import smpl
 from motionlab.observation import BODY_25, Observation2D
 from motionlab.viz.palette import ROLE
 
@@ -77,7 +77,7 @@ def test_a_film_that_cannot_be_drawn_is_a_note(tmp_path, monkeypatch):
     found = fit.run_clip(file, out, quick=True)
     assert "the film could not be drawn: RuntimeError: bad X server connection" in found["notes"]
     assert {path.name for path in out.iterdir()} == {*found["files"], fit.RESULT}
-    assert not (out / "overlay.mp4").exists() and amass.load(out / "motion.npz").frames == SHORT
+    assert not (out / "overlay.mp4").exists() and smpl.load_motion(out / "motion.npz").frames == SHORT
     assert found["notes"] == record(out)["notes"] and "the film is not drawn yet" not in found["notes"]
     assert fit.is_finished(out)  # the same call would not draw it either
     page = (out / "report.html").read_text()
@@ -90,7 +90,7 @@ def test_what_is_written_first_is_no_finished_folder(tmp_path, monkeypatch):
     spoil(monkeypatch, SystemExit())
     with pytest.raises(SystemExit):
         fit.run_clip(file, out, quick=True)
-    assert amass.load(out / "motion.npz").frames == SHORT and not fit.is_finished(out)
+    assert smpl.load_motion(out / "motion.npz").frames == SHORT and not fit.is_finished(out)
     assert "the film is not drawn yet" in record(out)["notes"]
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from motionlab.diffusion.windows import gather
 from motionlab.errors import DataError
-from motionlab.humor.cvae import Cvae, from_weights, official_weights
+from motionlab.humor.priors import Cvae, from_weights, official_weights
 from motionlab.humor.state import (
     OFFICIAL_DELTA_ORDER,
     OFFICIAL_ORDER,
@@ -151,7 +151,7 @@ def test_a_stopped_run_goes_on_to_the_bit(motions, data, tmp_path):
     assert again.curve[-1] == whole.curve[-1] and again.recipe == SMALL
     assert all(torch.equal(whole.average[name], value) for name, value in again.average.items())
     assert not torch.equal(other.average["skip.weight"], whole.average["skip.weight"])
-    with pytest.raises(DataError, match="other examples"):
+    with pytest.raises(DataError, match="other windows"):
         ChainTraining.resume(tmp_path / "run.pt", gather(motions[:1], SMALL.length + 2, missing=[()]))
     with pytest.raises(DataError, match="windows of 6 states for 3 transitions"):
         ChainTraining(SMALL, gather(motions, 7, missing=[(), ()]))

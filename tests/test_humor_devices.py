@@ -5,10 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import compiled, testops
+from motionlab.humor import compiled, coordinates, testops
+from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import InitGmm, Priors
-from motionlab.humor.shooting import coordinates
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Schedule
 from tests.elsewhere import ELSEWHERE, Elsewhere, elsewhere, moved
 from tests.fit_inputs import joints, keypoints
@@ -19,8 +18,6 @@ FEW = Schedule(
     inner=1,
     short=3,
     refine=(0, 0),
-    window=4,
-    overlap=1,
     shooting=Plan(rounds=2, closures=2, trial_rounds=1, tolerance=-1e3),  # a second start, then jumps anywhere
 )
 

@@ -8,7 +8,7 @@ import torch
 
 from motionlab.errors import ShapeError
 from motionlab.humor import energies
-from motionlab.humor.cvae import Gaussian
+from motionlab.humor.priors import Gaussian
 from motionlab.observation import Camera, project
 from tests.rolled_inputs import golden_mixture
 

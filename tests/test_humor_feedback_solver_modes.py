@@ -6,17 +6,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import priors, unknowns
+from motionlab.humor import feedback_solver, priors, unknowns
+from motionlab.humor.coordinates import linearised, mixed_features, unwhiten
+from motionlab.humor.feedback_solver import Plan, solve
 from motionlab.humor.priors import InitGmm
-from motionlab.humor.shooting import feedback_solver
-from motionlab.humor.shooting.coordinates import linearised, mixed_features, unwhiten
-from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.optimise import BatchFit
 from tests.draws import seeded
 from tests.rolled_inputs import F64
 from tests.test_humor_shooting import CLIPS, made, noisy, nought, of_both, total
 
-ALONE = Plan(rounds=8, closures=20, tolerance=1e-5, mode_jumps=0)
+ALONE = Plan(rounds=8, closures=20, tolerance=1e-5, mode_jumps=0, trial_rounds=0)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def test_the_matrix_is_that_of_the_rest_and_of_the_mixture(case):
         gmm = problem.priors.initial
         share = gmm.each(f).softmax(-1)
         pull = torch.einsum("bk,kij->bij", share, torch.linalg.inv(gmm.covariances))
-        weight = problem.weights.of(3, frames=unknown.z.shape[2] + 1)["init_motion_prior"]
+        weight = problem.weights.of(3, frames=unknown.z.shape[1] + 1)["init_motion_prior"]
         whole = white.rest + weight * white.features.mT @ pull @ white.features
         values = torch.linalg.eigvalsh(whole)
         assert values.max() < 1 + 1e-6 and (values > 0.9).float().mean() > 0.8
@@ -222,12 +221,12 @@ def test_a_plan_says_when_jumps_begin_how_sure_the_matrix_is_and_what_gain_is_no
         return linearised(problem, unknown, ridge=ridge, stride=stride)
 
     monkeypatch.setattr(feedback_solver, "_starts", starts)
-    plan = replace(ALONE, rounds=4, closures=5, mode_jumps=1, trial_rounds=2, two_starts=False, tolerance=0.0)
+    plan = replace(ALONE, rounds=4, closures=5, mode_jumps=1, trial_rounds=2, tolerance=0.0)
     plan = replace(plan, damping=(0.1, 0.02), ridge=0.01)
     _, fits = solve(problem, unknown, plan, linearise=linearise)
     assert asked == [0, 0, 1, 1] and ridges == [0.1, 0.02, 0.01, 0.01] and len(fits) == 4
     gained = float((fits[2].energy - fits[3].energy).max())
-    plan = replace(plan, rounds=9, min_gain=1.01 * gained / (unknown.z.shape[2] + 1))
+    plan = replace(plan, rounds=9, min_gain=1.01 * gained / (unknown.z.shape[1] + 1))
     _, fewer = solve(problem, unknown, plan, linearise=linearise)
     assert len(fewer) <= 4 and torch.equal(fewer[0].energy, fits[0].energy)
     for wrong in ({"halving_after": -1}, {"halving_after": 29}, {"trial_rounds": -1}):
@@ -252,8 +251,8 @@ def test_of_a_batch_one_clip_may_leap_on(case, settled, monkeypatch):
 
     monkeypatch.setattr(feedback_solver, "_starts", forced)
     monkeypatch.setattr(feedback_solver, "minimise_from", noted)
-    plan = replace(ALONE, rounds=2, mode_jumps=1, halving_after=4, tolerance=0.0, trial_rounds=0)
-    solve(problem, mixed, replace(plan, two_starts=False), second_start=mixed)
+    plan = replace(ALONE, rounds=2, mode_jumps=1, halving_after=4, tolerance=0.0)
+    solve(problem, mixed, plan, second_start=mixed)
     assert rows == [[0, 1, 0, 1], [0, 1], [0, 1, 0], [0, 1]]
 
 

@@ -14,10 +14,9 @@ from walked import CAMERA, aside, few_steps, short_windows, table, write_camera,
 from motionlab.__main__ import main
 from motionlab.checkpoint import SHIPPED
 from motionlab.footage import fit, scene_fit, scene_report
-from motionlab.humor import body_shape, pretrained, testops
+from motionlab.humor import body_shape, feedback_solver, pretrained, testops
 from motionlab.humor.energies import RGB, RGB_LIGHT
-from motionlab.humor.shooting import feedback_solver
-from motionlab.io import amass, bvh, gltf, video
+from motionlab.io import bvh, gltf, smpl, video
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D, project
 from motionlab.skeleton import BALLS, STANDARD
@@ -60,7 +59,7 @@ def test_everything_is_written_and_said(tmp_path, keypoints, capsys):
     assert run("--keypoints", keypoints, "--fps", 30, "--camera", camera, "--out", out, "--quick") == 0
     files = {"motion.npz", "motion.bvh", "scene.glb", "overlay.mp4", "report.html", "fit.json"}
     assert {path.name for path in out.iterdir()} == files and fit.is_finished(out)
-    motions = [amass.load(out / "motion.npz"), bvh.load(out / "motion.bvh"), gltf.load(out / "scene.glb")]
+    motions = [smpl.load_motion(out / "motion.npz"), bvh.load(out / "motion.bvh"), gltf.load(out / "scene.glb")]
     assert [m.frames for m in motions] == [FRAMES] * 3
     where = [m.positions[:, m.skeleton.indices(list(STANDARD.names))] for m in motions[1:]]
     assert (where[0] - where[1]).abs().max() < 1e-3
@@ -123,7 +122,7 @@ def test_the_fast_solver_unless_the_original_schedule_is_asked_for(
         "mode": mode, "weights": weights, "solver": solver, "schedule": lean if mode == "lean" else official
     }  # fmt: skip
     assert official.steps == (30, 80, 70) and official.inner == 20 and official.refine == (30, 55)  # as published
-    assert amass.load(tmp_path / "out" / "motion.npz").frames == FRAMES
+    assert smpl.load_motion(tmp_path / "out" / "motion.npz").frames == FRAMES
 
 
 def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monkeypatch):
@@ -138,7 +137,7 @@ def test_interrupted_fit_keeps_the_best_so_far(tmp_path, keypoints, capsys, monk
     monkeypatch.setattr(feedback_solver, "rolled_terms", interrupted)
     out = tmp_path / "out"
     assert run("--keypoints", keypoints, "--fps", 30, "--out", out, "--quick") == 0
-    assert amass.load(out / "motion.npz").frames == FRAMES
+    assert smpl.load_motion(out / "motion.npz").frames == FRAMES
     assert "the best so far" in capsys.readouterr().out
     assert record(out)["stopped"] and not fit.is_finished(out)
     assert len(calls) < 10
@@ -239,12 +238,13 @@ def test_the_floor_is_where_feet_rest_that_are_in_contact(walk):
     assert lifts[0] < -0.17 and lifts[1] - lifts[0] > 0.1
 
 
-def test_somebody_who_leaves_and_returns(tmp_path, windows, few):
+@pytest.mark.parametrize("solver", ["shooting", "rollout"])
+def test_somebody_who_leaves_and_returns(tmp_path, windows, few, solver):
     frames = table(walked.walk(26))
     frames[6:20, ..., 2] = 0
     folder = write_json(tmp_path / "keypoints", frames)
-    found = fit.run_clip(folder, tmp_path / "out", fps=30, quick=True)
-    assert found["people"][0]["spans_s"] == [[0.0, 7 / 30], [19 / 30, 26 / 30]]
+    found = fit.run_clip(folder, tmp_path / "out", fps=30, quick=True, solver=solver)
+    assert found["windows"] == 4 and found["people"][0]["spans_s"] == [[0.0, 7 / 30], [19 / 30, 26 / 30]]
     assert bvh.load(tmp_path / "out" / "motion.bvh").frames == 26
     assert found["people"][0]["pixels"]["by_time"][10] is None
 

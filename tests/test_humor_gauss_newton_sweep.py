@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from motionlab.humor.shooting.gauss_newton import riccati_sweep
+from motionlab.humor.gauss_newton import riccati_sweep
 from tests.draws import draw
 
 F64 = torch.float64

@@ -13,7 +13,7 @@ from motionlab.footage.fit import landmarks_of
 from motionlab.humor import evidence, pretrained, start, testops, unknowns
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.stages import Problem
-from motionlab.metrics.gait import tilt_and_bend
+from motionlab.metrics import tilt_and_bend
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D, look_at, project
 from motionlab.skeleton import STANDARD
@@ -73,7 +73,7 @@ def test_stage_3_begins_with_the_feet_on_the_floor():
     pixels = seen.view.pixels(landmarks_of(motion), unknown.camera)
     for guesses in (True, False):
         track = testops._Track(replace(testops.Schedule.quick(), guesses=guesses), False, None)
-        raised, _, shared, _ = track._begun(problem, unknown, motion, unknown.latent, seen.confidence_per_joint)
+        raised, _, shared, *_ = track._begun(problem, unknown, motion, unknown.latent, seen.confidence_per_joint)
         off = float(start.above_floor(raised.positions))
         assert abs(off) < 1e-4 if guesses else off > 0.1
         assert (seen.view.pixels(landmarks_of(raised), shared["camera"]) - pixels).abs().max() < 0.05

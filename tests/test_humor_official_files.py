@@ -11,10 +11,9 @@ from data_synth.subjects import SUBJECTS
 from motionlab import checkpoint
 from motionlab.errors import DataError
 from motionlab.humor import pretrained, priors, rollout, state, testops
-from motionlab.humor.cvae import Cvae, official_weights
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.pretrained import _NAMES_1
-from motionlab.humor.priors import PosePrior
+from motionlab.humor.priors import Cvae, PosePrior, official_weights
 from studies.nb04_prior import parity
 from studies.official import rollout as official_rollout
 from studies.shared import savings

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.priors import Cvae
 from studies.nb04_prior import parity
 from studies.official import rotation as official_rotation
 

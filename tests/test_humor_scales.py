@@ -9,7 +9,7 @@ from motionlab import checkpoint, splits
 from motionlab.__main__ import main
 from motionlab.errors import ShapeError
 from motionlab.humor import pretrained
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.priors import Cvae
 from motionlab.training import recipes
 
 

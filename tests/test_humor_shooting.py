@@ -10,15 +10,14 @@ import torch
 from data_synth import clips
 from motionlab import optimise
 from motionlab.errors import NotConverged, ShapeError
-from motionlab.humor import energies, priors, stages, state, unknowns
+from motionlab.humor import coordinates, energies, feedback_solver, priors, stages, state, unknowns
+from motionlab.humor import coordinates as loop_module
+from motionlab.humor.coordinates import linearised, unwhiten
 from motionlab.humor.energies import JOINTS, RGB
 from motionlab.humor.evidence import Evidence
+from motionlab.humor.feedback_solver import Plan, minimise_from, solve
 from motionlab.humor.priors import FIRST_STATE_SIZE, InitGmm, Priors, first_state_features
 from motionlab.humor.rollout import sample_rollout
-from motionlab.humor.shooting import coordinates, feedback_solver
-from motionlab.humor.shooting import coordinates as loop_module
-from motionlab.humor.shooting.coordinates import Whitening, linearised, unwhiten
-from motionlab.humor.shooting.feedback_solver import Plan, minimise_from, solve
 from motionlab.humor.stages import Problem, motion_terms
 from motionlab.humor.unknowns import Unknowns
 from studies.shared.workload import random_priors, workload
@@ -28,7 +27,7 @@ from tests.rolled_inputs import F64, network
 
 FRAMES, CLIPS = 5, 2
 KINDS = ("joints", "fixed", "free")
-STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1, trial_stride=1)
+STEADY = Plan(rounds=2, closures=6, tolerance=0.0, stride=1, trial_rounds=0, trial_stride=1)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +65,7 @@ def made(pose):
     spread = spread @ spread.mT + 0.05 * torch.eye(FIRST_STATE_SIZE, dtype=F64)
     mixture = InitGmm(torch.full((12,), 1 / 12, dtype=F64), noisy(start.expand(12, -1), 0.1, 2), spread)
     priors = replace(priors, initial=mixture)
-    truth = replace(work.moving, z=noisy(sample_rollout(model, first, FRAMES - 1).z[:, None], 0.3, 3))
+    truth = replace(work.moving, z=noisy(sample_rollout(model, first, FRAMES - 1).z, 0.3, 3))
     seen = work.problem.evidence
     view = replace(seen.view, intrinsics=seen.view.intrinsics * torch.tensor([1.0, 0.9, 1.0]).double()[:, None])
     seen = replace(seen, view=view)  # of two focal lengths
@@ -137,7 +136,7 @@ def residuals(problem, at, rolled, touching, robust, whites):
 def hessian(problem, unknown, white):
     """J^T J (N, N) of the first recording in its coordinates, nu before first, by central differences of roll-outs."""
     problem, unknown = one(problem, unknown, [0])
-    white = Whitening(*(part[:1] for part in white))
+    white = white.rows(torch.tensor([0]))
     _, middle = unwhiten(problem, unknown, white, nought(white))
     touching = energies.contact_probabilities(middle.rollout.contact_logits)
     robust = problem.evidence.weight[..., None]
@@ -151,8 +150,8 @@ def hessian(problem, unknown, white):
     sizes = white.base[0].numel(), white.first.shape[1]
     step, unit = 1e-7, torch.eye(sum(sizes), dtype=F64)
     many = unknown.map(lambda x: x.expand(len(unit), *x.shape[1:]))
-    wide = Whitening(*(part.expand(len(unit), *part.shape[1:]) for part in white))
-    rows = problem.rows(torch.zeros(len(unit), dtype=torch.long))
+    same = torch.zeros(len(unit), dtype=torch.long)
+    rows, wide = problem.rows(same), white.rows(same)
 
     def at(s):
         nu, first = (s * unit).split(sizes, 1)
@@ -186,7 +185,7 @@ def test_control_with_one_part_of_the_coordinates_missing_they_are_not_round(smo
     with torch.no_grad():
         white = linearised(problem, unknown, stride=1)
         wrong = {"gains": 0 * white.gains, "shared": 0 * white.shared, "whiteners": 1.2 * white.whiteners}[part]
-        base = unknown.z[:, 0] if part == "gains" else white.base
+        base = unknown.z if part == "gains" else white.base
         h, n = hessian(problem, unknown, white._replace(base=base, **{part: wrong}))
         assert (h[:n] - torch.eye(len(h), dtype=F64)[:n]).abs().max() > 0.05
 
@@ -199,9 +198,9 @@ def test_anywhere_is_an_exact_roll_out_of_the_unknowns_there(cases, kind, stride
         white = linearised(problem, unknown, stride=stride)
         new = {n: 0.3 * torch.randn(x.shape, generator=seeded(3), dtype=F64) for n, x in nought(white).items()}
         at, rolled = unwhiten(problem, unknown, white, new)
-        there = replace(at, z=rolled.rollout.z[:, None])
+        there = replace(at, z=rolled.rollout.z)
         theirs = unknowns.roll(there, problem.priors, problem.evidence)
-        found = sum(stages.rolled_terms(problem, at, rolled).values())
+        found = sum(stages.rolled_terms(problem, rolled).values())
     torch.testing.assert_close(rolled.states, theirs.states, atol=1e-9, rtol=0)
     torch.testing.assert_close(found, total(problem, there), atol=0, rtol=1e-9)
     assert (theirs.states - unknowns.roll(unknown, problem.priors, problem.evidence).states).abs().max() > 1e-3
@@ -213,7 +212,7 @@ def test_gradients_in_the_coordinates_are_finite_differences(cases):
     point = {n: 0.1 * torch.randn(x.shape, generator=seeded(4), dtype=F64) for n, x in nought(white).items()}
 
     def value(new):
-        return sum(stages.rolled_terms(problem, *unwhiten(problem, unknown, white, new)).values()).sum()
+        return sum(stages.rolled_terms(problem, unwhiten(problem, unknown, white, new)[1]).values()).sum()
 
     leaves = {n: x.clone().requires_grad_() for n, x in point.items()}
     slopes = dict(zip(leaves, torch.autograd.grad(value(leaves), leaves.values()), strict=True))
@@ -339,14 +338,6 @@ def test_a_search_ends_where_steps_gain_too_little(cases):
     torch.testing.assert_close(mixed.energy[1], alone[1].energy[1])
 
 
-def test_a_second_start_of_other_recordings_is_refused(cases):
-    problem, unknown = cases["joints"]
-    with pytest.raises(ShapeError, match="second start z"):
-        solve(problem, unknown, STEADY, second_start=replace(unknown, z=unknown.z[:1]))
-    with pytest.raises(ShapeError, match="second start betas"):
-        solve(problem, unknown, STEADY, second_start=replace(unknown, betas=None))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_clips_differentiated_one_by_one_are_those_of_a_batch(cases, kind, monkeypatch):
     problem, unknown = cases[kind]
@@ -354,8 +345,8 @@ def test_clips_differentiated_one_by_one_are_those_of_a_batch(cases, kind, monke
     monkeypatch.setattr(loop_module, "_clip_by_clip", lambda z: False)
     for ours, theirs in zip(apart, linearised(problem, unknown), strict=True):
         torch.testing.assert_close(ours, theirs, atol=1e-9, rtol=1e-7)
-    assert apart.gains.transpose(0, 1).is_contiguous()  # as roll-outs read them
-    assert apart.rows(torch.tensor([1, 0, 1])).gains.transpose(0, 1).is_contiguous()
+    assert apart.gains.is_contiguous()  # as roll-outs read them
+    assert apart.rows(torch.tensor([1, 0, 1])).gains.is_contiguous()
 
 
 def test_a_round_that_ends_higher_is_thrown_away(cases, monkeypatch):
@@ -376,13 +367,10 @@ def test_a_round_that_ends_higher_is_thrown_away(cases, monkeypatch):
     assert len(fits) == 2 and torch.equal(fits[1].energy, fits[0].energy)
 
 
-@pytest.mark.parametrize("change", ["windows", "steps"])
-def test_shapes_that_do_not_fit(cases, change):
-    """One window, and at least one transition."""
+def test_a_recording_without_transitions(cases):
     problem, unknown = cases["joints"]
-    z = unknown.z.repeat(1, 2, 1, 1) if change == "windows" else unknown.z[:, :, :0]
     with pytest.raises(ShapeError):
-        solve(problem, replace(unknown, z=z), STEADY)
+        solve(problem, replace(unknown, z=unknown.z[:, :0]), STEADY)
 
 
 def test_single_precision_and_two_frames():
@@ -391,7 +379,7 @@ def test_single_precision_and_two_frames():
     work = workload(walk, random_priors(seeded(), width=64), seeded(), batch=1)
     began = total(work.problem, work.moving)
     found, fits = solve(work.problem, work.moving, STEADY)
-    assert found.z.shape == (1, 1, 1, 48) and found.z.dtype == torch.float32
+    assert found.z.shape == (1, 1, 48) and found.z.dtype == torch.float32
     assert (fits[-1].energy < began).all()
     torch.testing.assert_close(total(work.problem, found), fits[-1].energy, atol=0, rtol=1e-3)
     assert all(x.isfinite().all() for x in found.named().values())

@@ -5,7 +5,7 @@ import torch
 
 from motionlab import rotation
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae, from_weights, official_weights
+from motionlab.humor.priors import Cvae, from_weights, official_weights
 from motionlab.humor.state import ADDED, OFFICIAL_ORDER, OFFICIAL_SLICES, STATE, VECTORS
 
 OFFICIAL = OFFICIAL_ORDER.argsort()  # ours[..., OFFICIAL] are official states

@@ -7,9 +7,9 @@ import torch
 from rolled_inputs import network
 
 from data_synth import clips
-from motionlab.humor import stages, testops, unknowns
+from motionlab.humor import testops, unknowns
 from motionlab.humor.evidence import Observation3D
-from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.humor.feedback_solver import Plan
 from studies.shared.workload import random_priors, workload
 from tests.draws import seeded
 
@@ -60,22 +60,11 @@ def test_a_fit_is_judged_by_either_solver(solver):
     walk = clips.draw(1, seeded(), actions=("walk",))[0].motion.cut(0, 8)
     seen = Observation3D(walk.positions, torch.ones(walk.positions.shape[:-1], dtype=torch.bool))
     priors = replace(random_priors(seeded(), width=64), motion=network(64).float())
-    schedule = replace(testops.Schedule.quick(), shooting=Plan(rounds=1, closures=4), window=8, overlap=3)
+    schedule = replace(testops.Schedule.quick(), shooting=Plan(rounds=1, closures=4))
     fitted = testops.fit(seen, priors, schedule=schedule, solver=solver)
     assert fitted.diagnostics.latent_chi2.shape == (1,) and fitted.diagnostics.misfit.isfinite().all()
     assert bool(fitted.diagnostics.doubtful.any()) == any("doubts" in note for note in fitted.notes)
     assert torch.equal(fitted.motion.positions, fitted.stages[3].positions)
-
-
-def test_shooting_takes_a_recording_whole_and_rollout_in_windows():
-    walk = clips.draw(1, seeded(), actions=("walk",))[0].motion.cut(0, 12)
-    seen = Observation3D(walk.positions, torch.ones(walk.positions.shape[:-1], dtype=torch.bool))
-    priors = random_priors(seeded(), width=64)
-    schedule = replace(testops.Schedule.quick(), shooting=Plan(rounds=1, closures=3), window=8, overlap=3)
-    whole, cut = (testops.fit(seen, priors, schedule=schedule, solver=s) for s in ("shooting", "rollout"))
-    assert whole.starts == (0,) and whole.z.shape == (1, 1, 11, 48)
-    assert len(cut.starts) > 1
-    assert not stages.interrupted(whole.results[3][-1])
 
 
 @pytest.mark.parametrize("how", [{"solver": "newton"}, {"solver": "shooting", "mode": "official"}])

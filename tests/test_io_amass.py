@@ -14,7 +14,7 @@ import results
 from motionlab import io, rotation
 from motionlab.animate import rewriting
 from motionlab.errors import DataError
-from motionlab.io import amass
+from motionlab.io import smpl
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
@@ -30,7 +30,7 @@ def written(path, content: dict):
 def test_body_joints_of_every_layout_agree_with_scipy(tmp_path, columns, model):
     content = arrays(columns)
     path = written(tmp_path / "a.npz", content)
-    motion = amass.load(path)
+    motion = smpl.load_motion(path)
     expected = Rotation.from_rotvec(content["poses"][:, :66].reshape(-1, 3)).as_matrix()
     np.testing.assert_allclose(motion.rot.reshape(-1, 3, 3).numpy(), expected, atol=1e-6)
     np.testing.assert_allclose(motion.root.numpy(), content["trans"], atol=1e-6)
@@ -43,23 +43,23 @@ def test_split_keys_are_the_whole_pose(tmp_path):
     split = {k: v for k, v in whole.items() if k not in ("poses", "mocap_framerate")}
     split |= {"root_orient": whole["poses"][:, :3], "pose_body": whole["poses"][:, 3:66]}
     split["mocap_frame_rate"] = np.array(120.0)
-    a, b = amass.load(written(tmp_path / "a.npz", whole)), amass.load(written(tmp_path / "b.npz", split))
+    a, b = smpl.load_motion(written(tmp_path / "a.npz", whole)), smpl.load_motion(written(tmp_path / "b.npz", split))
     torch.testing.assert_close(a.rot, b.rot, atol=0, rtol=0)
     assert a.fps == b.fps == 120 and [any("smplx: hands" in n for n in each.notes) for each in (a, b)] == [True, False]
 
 
-@pytest.mark.parametrize("key", amass.RATES)
+@pytest.mark.parametrize("key", smpl.RATES)
 def test_every_spelling_of_the_frame_rate(tmp_path, key):
     content = arrays()
     content[key] = content.pop("mocap_framerate")
-    assert amass.load(written(tmp_path / "a.npz", content)).fps == 120
+    assert smpl.load_motion(written(tmp_path / "a.npz", content)).fps == 120
 
 
 def test_frame_rates_that_disagree_are_refused_and_ones_that_agree_are_not(tmp_path):
     same = arrays() | {"fps": np.array(120)}
-    assert amass.load(written(tmp_path / "a.npz", same)).fps == 120
+    assert smpl.load_motion(written(tmp_path / "a.npz", same)).fps == 120
     with pytest.raises(DataError, match=r"mocap_framerate, fps: .*disagree: 120, 60"):
-        amass.load(written(tmp_path / "b.npz", same | {"fps": np.array(60)}))
+        smpl.load_motion(written(tmp_path / "b.npz", same | {"fps": np.array(60)}))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -69,21 +69,21 @@ def test_motion_to_amass_to_motion_is_exact(tmp_path, seed):
     contacts = torch.randint(0, 2, (FRAMES, 9), generator=generator).float()
     motion = Motion(STANDARD, torch.randn(FRAMES, 3, generator=generator), rot, 30.0, contacts)
     offset = torch.tensor([0.01, -0.23, 0.02])
-    amass.save(tmp_path / "a.npz", motion, pelvis_offset=offset)
-    back = amass.load(tmp_path / "a.npz", pelvis_offset=offset)
+    smpl.save_motion(tmp_path / "a.npz", motion, pelvis_offset=offset)
+    back = smpl.load_motion(tmp_path / "a.npz", pelvis_offset=offset)
     torch.testing.assert_close(back.root, motion.root, atol=1e-7, rtol=0)
     torch.testing.assert_close(back.rot, motion.rot, atol=1e-6, rtol=0)
     torch.testing.assert_close(back.contacts, contacts, atol=0, rtol=0)
     assert back.fps == 30.0
-    wrong = amass.load(tmp_path / "a.npz")
+    wrong = smpl.load_motion(tmp_path / "a.npz")
     torch.testing.assert_close(motion.root - wrong.root, offset.expand(FRAMES, 3), atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("columns", [72, 156, 165])  # SMPL's, SMPL+H's, SMPL-X's
 def test_amass_to_motion_to_amass_keeps_the_body(tmp_path, columns):
     content = arrays(columns)
-    motion = amass.load(written(tmp_path / "a.npz", content))
-    amass.save(tmp_path / "b.npz", motion)
+    motion = smpl.load_motion(written(tmp_path / "a.npz", content))
+    smpl.save_motion(tmp_path / "b.npz", motion)
     back = np.load(tmp_path / "b.npz")
     np.testing.assert_allclose(back["poses"][:, :66], content["poses"][:, :66], atol=2e-6)
     np.testing.assert_allclose(back["trans"], content["trans"], atol=1e-6)
@@ -96,7 +96,7 @@ def test_the_pelvis_is_where_smpl_puts_it(tmp_path):
     j0 = np.array([-0.002, -0.24, 0.03])
     turn = Rotation.from_rotvec(content["poses"][:, :3])
     pelvis = turn.apply(j0 - j0) + j0 + content["trans"]
-    motion = amass.load(written(tmp_path / "a.npz", content), pelvis_offset=torch.from_numpy(j0))
+    motion = smpl.load_motion(written(tmp_path / "a.npz", content), pelvis_offset=torch.from_numpy(j0))
     np.testing.assert_allclose(motion.positions[:, 0].numpy(), pelvis, atol=1e-6)
     rotated = turn.apply(j0) + content["trans"]
     assert np.abs(motion.positions[:, 0].numpy() - rotated).max() > 0.1
@@ -104,7 +104,7 @@ def test_the_pelvis_is_where_smpl_puts_it(tmp_path):
 
 def test_pickled_members_that_nobody_needs_are_not_touched(tmp_path):
     content = arrays() | {"markers_latent_vids": np.array({"a": 1}, dtype=object)}
-    assert amass.load(written(tmp_path / "a.npz", content)).frames == FRAMES
+    assert smpl.load_motion(written(tmp_path / "a.npz", content)).frames == FRAMES
 
 
 SYSTEMS = {"gvhmr.pt": results.gvhmr, "wham.pkl": results.wham, "tram.npy": results.tram, "aist.pkl": results.aist}
@@ -170,15 +170,15 @@ def test_shapes_that_people_save(tmp_path, shape):
     path = written(tmp_path / "a.npz", content | change)
     if shape == "no body":
         with pytest.raises(DataError, match="expected 66 columns or more, got 63"):
-            amass.load(path)
+            smpl.load_motion(path)
         return
-    loaded = amass.load(path)
+    loaded = smpl.load_motion(path)
     torch.testing.assert_close(loaded.rot, person.rot, atol=2e-6, rtol=0)
     torch.testing.assert_close(loaded.root, person.root, atol=1e-6, rtol=0)
     rot = loaded.rot.clone()
     rot[2, 5] = torch.eye(3)
     rewriting.write_back(path, tmp_path / "b.npz", loaded, replace(loaded, rot=rot))
-    torch.testing.assert_close(amass.load(tmp_path / "b.npz").rot, rot, atol=2e-6, rtol=0)
+    torch.testing.assert_close(smpl.load_motion(tmp_path / "b.npz").rot, rot, atol=2e-6, rtol=0)
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 4, 5])

@@ -14,7 +14,7 @@ from loaders import LOADERS, numbers_of, refused
 
 from motionlab import io
 from motionlab.errors import DataError
-from motionlab.io import amass, keypoints
+from motionlab.io import keypoints, smpl
 
 
 @pytest.mark.parametrize("kind", seeds.SEEDS)
@@ -75,7 +75,7 @@ def people(*flats) -> bytes:
     return json.dumps({"people": [{"pose_keypoints_2d": flat} for flat in flats]}).encode()
 
 
-AMASS, AMP, DANCE, SMPL = seeds.amass_arrays(), seeds.amp_arrays(), seeds.anidance_arrays(), seeds.smpl_arrays()
+AMASS, AMP, SMPL = seeds.amass_arrays(), seeds.amp_arrays(), seeds.smpl_arrays()
 POSES = AMASS["poses"]
 #: name -> (kind, file, words of the message); BVH, ASF, AMC, DeepMimic, AMP and SMPL have tables of their own
 MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
@@ -95,11 +95,6 @@ MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
         "amass.npz", archive(AMASS, poses=None, pose_body=POSES[:, 3:66]), ("root_orient",),
     ),
     "amass: a pickled object": ("amass.npz", archive(AMASS, poses=np.array([{}], dtype=object)), ("pickled",)),
-    "anidance: 23 points": ("anidance.npz", archive(DANCE, positions_cm=np.zeros((4, 23, 3))), ("positions_cm",)),
-    "anidance: infinite": (
-        "anidance.npz", archive(DANCE, positions_cm=DANCE["positions_cm"] * np.inf), ("positions_cm",),
-    ),
-    "anidance: fps missing": ("anidance.npz", archive(DANCE, fps=None), ("fps",)),
     "smpl: 20 joints": ("smpl.npz", archive(SMPL, kintree_table=SMPL["kintree_table"][:, :20]), ("kintree",)),
     "smpl: pickle of a list": ("smpl.pkl", pickle.dumps([1, 2, 3], protocol=2), ()),
     "smpl: pickle that refers to itself": ("smpl.pkl", b"\x80\x02]q\x00h\x00a.", ()),
@@ -130,11 +125,6 @@ MALFORMED: dict[str, tuple[str, bytes, tuple[str, ...]]] = {
     "captury: sensor of zero": ("captury.calib", text("captury.calib", r"10\.0{9}", "0.0"), ("sensorSize",)),
     "captury: no right": ("captury.calib", text("captury.calib", "\tright", "\tleft"), ("right",)),
     "captury: NaN": ("captury.calib", text("captury.calib", r"focalLength\t \S+", "focalLength\t nan"), ("focal",)),
-    "biomech: a row short": ("biomech.csv", text("biomech.csv", ";4;5;6.*", ""), ("line 6",)),
-    "biomech: fewer frames": ("biomech.csv", text("biomech.csv", "Frames;4", "Frames;9"), ("9",)),
-    "biomech: negative frames": ("biomech.csv", text("biomech.csv", "Frames;4", "Frames;-4"), ("-4",)),
-    "projected: a joint twice": ("projected.csv", text("projected.csv", "Hips", "Head"), ("line 1",)),
-    "projected: infinite": ("projected.csv", text("projected.csv", r"0\.25", "inf"), ("table",)),
     "glb: absurd length": (".glb", seeds.SEEDS[".glb"][:8] + b"\xff" * 4 + seeds.SEEDS[".glb"][12:], ()),
 }  # fmt: skip
 
@@ -201,9 +191,9 @@ def test_pickles_are_never_executed(tmp_path, canary, kind, protocol):
             LOADERS[kind](path)
 
 
-@pytest.mark.parametrize("kind", ["amp.npz", "amass.npz", "anidance.npz", "smpl.npz", "plain.npz"])
+@pytest.mark.parametrize("kind", ["amp.npz", "amass.npz", "smpl.npz", "plain.npz"])
 def test_objects_in_archives_are_never_unpickled(tmp_path, canary, kind):
-    known = {"amp.npz": AMP, "amass.npz": AMASS, "anidance.npz": DANCE, "smpl.npz": SMPL}
+    known = {"amp.npz": AMP, "amass.npz": AMASS, "smpl.npz": SMPL}
     whole = (known | {"plain.npz": detected.plain_arrays()})[kind]
     path = tmp_path / f"bad{kind}"
     for key in whole.keys() - {"betas", "gender"}:  # which nothing reads
@@ -220,4 +210,4 @@ def test_archives_that_promise_too_much(tmp_path):
     with zipfile.ZipFile(path, "w") as target:
         target.writestr("poses.npy", member)
     with refused("poses", "promises shape"):
-        amass.load(path)
+        smpl.load_motion(path)

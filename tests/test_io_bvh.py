@@ -257,8 +257,8 @@ WRONG = {  # name: (file, words of the message)
     "duplicate name": (TEXT.replace("JOINT Leg", "JOINT Spine"), "line 15.*second joint named 'Spine'"),
     "no name": (TEXT.replace("JOINT Leg", "JOINT"), "line 15.*without a name"),
     "brace missing": (TEXT.replace("}\nMOTION", "MOTION"), "braces of Hips are still open"),
-    "brace too many": (TEXT.replace("}\nMOTION", "}\n}\nMOTION"), "line 30.*} too many"),
-    "no opening brace": (TEXT.replace("ROOT Hips\n{", "ROOT Hips\n"), "followed by {"),
+    "brace too many": (TEXT.replace("}\nMOTION", "}\n}\nMOTION"), "line 30.*expected JOINT"),
+    "no opening brace": (TEXT.replace("ROOT Hips\n{", "ROOT Hips\n"), "expected {"),
     "no channels at all": (ONE.replace("CHANNELS 1 Xrotation\n", ""), "no channels"),
     "a point": (ONE, "one point"),
 }

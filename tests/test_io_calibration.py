@@ -1,4 +1,4 @@
-"""Calibrations, judged by where they project: made by hand, then Pose2Sim's and Captury's own; Captury's tables."""
+"""Calibrations, judged by where they project: made by hand, then Pose2Sim's and Captury's own."""
 
 import pytest
 import seeds
@@ -7,6 +7,8 @@ import torch
 from motionlab.io import keypoints, points
 from motionlab.io.cameras import load_cameras
 from motionlab.observation import Camera, project
+from studies.nb05_testops import falls
+from studies.shared import captury
 from tests.recorded import DATA, needs_data
 
 
@@ -29,10 +31,10 @@ def test_captury_joints_fall_on_captury_projections():
     """Its own projections, of its own joints, through its own cameras: equal to the digits in the file."""
     pairs = {"LAnkle": "LeftFoot", "RKnee": "RightLeg", "LHip": "LeftUpLeg", "RShoulder": "RightArm", "Head": "Head"}
     for take in sorted((DATA / "captury_falls").glob("video*")):
-        joints = points.load_biomech(take / "biomech.csv", fps=50)
+        joints = captury.joints(take / "biomech.csv", pairs)
         for index, camera in enumerate(load_cameras(take / "camera.calib").values()):
-            seen = points.load_projected(take / f"projected{index:02}.csv", camera=camera, fps=50)
-            pixels, depth = project(camera, joints.select(list(pairs)).positions)
+            seen = falls.projected(take / f"projected{index:02}.csv", camera)
+            pixels, depth = project(camera, joints)
             there = seen.keypoints[:, [seen.index(name) for name in pairs.values()]]
             assert (depth > 0).all() and seen.visible.all()
             assert (pixels - there).norm(dim=-1).max() < 0.01
@@ -41,10 +43,10 @@ def test_captury_joints_fall_on_captury_projections():
 @needs_data
 def test_captury_tables_and_c3d_share_a_world():
     for take in sorted((DATA / "captury_falls").glob("video*")):
-        joints, markers = points.load_biomech(take / "biomech.csv", fps=50), points.load_c3d(take / "mocap.c3d")
-        for side in "LR":
+        knees, markers = captury.joints(take / "biomech.csv", ("LKnee", "RKnee")), points.load_c3d(take / "mocap.c3d")
+        for side, knee in zip("LR", knees.unbind(1), strict=True):
             middle = markers.select([f"Q_{side}KneeIn", f"Q_{side}KneeOut"]).positions.mean(1)
-            assert (middle - joints.select([f"{side}Knee"]).positions[:, 0]).norm(dim=-1).median() < 0.015
+            assert (middle - knee).norm(dim=-1).median() < 0.015
 
 
 PAIRS = {f"{s}{part}": f"{side}_{part.lower()}" for s, side in (("L", "left"), ("R", "right"))
@@ -77,22 +79,3 @@ def test_pose2sim_views_meet_at_its_own_result():
     assert error.median() < 0.022 and error.quantile(0.9) < 0.09
     turned = points.load_trc(root / "ref3d/Balancing_for_IK.trc", axes="x-zy").select(list(PAIRS)).positions
     assert (triangulate(there, pixels, weight) - turned.flatten(0, 1)).norm(dim=-1).median() > 0.5
-
-
-def test_joints_are_counted_off_by_the_groups(tmp_path):
-    path = tmp_path / "biomech.csv"
-    path.write_text(seeds.biomech_text())
-    loaded = points.load_biomech(path, fps=50)
-    assert loaded.names == ("CenterOfGravity", "LWrist") and loaded.fps == 50
-    # millimetres; turned half about the vertical, into the world of the C3D file
-    torch.testing.assert_close(loaded.positions[3], torch.tensor([[1.5, -2.0, 3.0], [-4.0, -5.0, 6.0]]) / 1000)
-
-
-def test_projections_are_in_image_widths(tmp_path):
-    path, camera = tmp_path / "projected00.csv", seeds.camera()
-    path.write_text(seeds.projected_text().replace("0.21,0.25", "0.21,0.99"))
-    seen = points.load_projected(path, camera=camera, fps=50)
-    assert seen.names == ("Hips", "Head") and seen.camera is camera
-    torch.testing.assert_close(seen.keypoints[1, 1], torch.tensor([0.11, 0.25]) * camera.width)
-    assert seen.visible[:, 0].all() and seen.visible[:, 1].tolist() == [True, True, False, True]
-    assert (seen.keypoints[2, 1] == 0).all()  # below the image

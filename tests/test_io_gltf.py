@@ -494,7 +494,7 @@ def test_one_of_several_animations_is_chosen_and_all_are_listed(tmp_path):
     assert first.name == "Walk" and any("Walk, Run" in note and "--animation" in note for note in first.notes)
     assert run.name == "Run" and torch.equal(gltf.load(tmp_path / "a.glb", animation="1").root, run.root)
     assert float((run.root - first.root).norm(dim=-1)[0]) == pytest.approx(0.5, abs=1e-5)
-    with pytest.raises(DataError, match="no animation 'Jump': Walk, Run"):
+    with pytest.raises(DataError, match="no animation 'Jump': it holds Walk, Run"):
         gltf.load(tmp_path / "a.glb", animation="Jump")
 
 

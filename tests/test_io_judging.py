@@ -8,7 +8,7 @@ import torch
 
 from motionlab import __main__, io, rotation
 from motionlab.errors import DataError
-from motionlab.io import amass, bvh, judging
+from motionlab.io import bvh, judging, smpl
 from motionlab.io.points import Positions
 from motionlab.io.reading import Location
 from motionlab.motion import Motion
@@ -90,15 +90,15 @@ def test_who_lies_in_a_file_whose_zero_pose_stands_elsewhere(up):
 
 def test_smpl_is_z_up_unless_the_heads_say_otherwise(tmp_path):
     standing = person()
-    amass.save(tmp_path / "z.npz", standing)
-    np.testing.assert_allclose(amass.load(tmp_path / "z.npz").root, standing.root, atol=1e-6)
+    smpl.save_motion(tmp_path / "z.npz", standing)
+    np.testing.assert_allclose(smpl.load_motion(tmp_path / "z.npz").root, standing.root, atol=1e-6)
     rot = standing.rot.clone()
     rot[:, 0] = UPRIGHT.T @ rot[:, 0]
-    amass.save(tmp_path / "y.npz", replace(standing, rot=rot, root=standing.root @ UPRIGHT))
-    loaded = amass.load(tmp_path / "y.npz")
+    smpl.save_motion(tmp_path / "y.npz", replace(standing, rot=rot, root=standing.root @ UPRIGHT))
+    loaded = smpl.load_motion(tmp_path / "y.npz")
     torch.testing.assert_close(loaded.positions, standing.positions, atol=1e-5, rtol=0)
     assert any("up axis y detected" in note for note in loaded.notes)
-    given = amass.load(tmp_path / "y.npz", up="z")
+    given = smpl.load_motion(tmp_path / "y.npz", up="z")
     assert not any("detected" in note for note in given.notes) and given.root[0, 1] == pytest.approx(0.95)
 
 

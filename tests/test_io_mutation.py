@@ -133,11 +133,10 @@ def test_mutated_files_load_or_say_why(folder, kind):
     [
         ("amp.npz", seeds.amp_arrays()),
         ("amass.npz", seeds.amass_arrays()),
-        ("anidance.npz", seeds.anidance_arrays()),
         ("smpl.npz", seeds.smpl_arrays()),
         ("plain.npz", detected.plain_arrays()),
     ],
-    ids=["amp", "amass", "anidance", "smpl", "keypoints"],
+    ids=["amp", "amass", "smpl", "keypoints"],
 )
 def test_changed_archives_load_or_say_why(folder, kind, arrays):
     @mutations

@@ -2,43 +2,39 @@ import json
 
 import numpy as np
 import pytest
-import torch
+import seeds
 
 from motionlab import __main__, io
 from motionlab.errors import DataError, MissingData
-from motionlab.io import amass, bvh, points
+from motionlab.io import bvh, smpl
 from motionlab.io.points import Positions
-from motionlab.io.recordings import SOURCES, inventory, passed_over, recordings
+from motionlab.io.recordings import inventory, passed_over, recordings
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 from tests.figures import standing
 from tests.recorded import DATA, needs_data
 
 
-def dance(path, frames: int = 4, **changes) -> None:
-    content = {"positions_cm": np.arange(frames * 72.0).reshape(frames, 24, 3), "fps": np.float32(25)} | changes
-    np.savez(path, **content)
-
-
 def test_a_folder_of_ones_own_works(tmp_path):
     bvh.save(tmp_path / "walk.bvh", standing(6))
     deep = tmp_path / "mine" / "take 1"
     deep.mkdir(parents=True)
-    amass.save(deep / "poses.npz", standing(6))
-    dance(deep / "dance.npz")
+    smpl.save_motion(deep / "poses.npz", standing(6))
+    (deep / "marks.trc").write_text(seeds.trc_text())
     for n in range(3):
         points = [float(v) for v in np.random.default_rng(n).uniform(1, 9, 54)]
         (deep / f"{n}.json").write_text(json.dumps({"people": [{"pose_keypoints_2d": points}]}))
     (deep / "notes.txt").write_text("nothing")
     found = list(recordings(tmp_path, reading={"fps": 25}))
     assert [(r.source, r.path.name) for r in found] == [
-        ("mine", "take 1"), ("mine", "dance.npz"), ("mine", "poses.npz"), (tmp_path.name, "walk.bvh"),
+        ("mine", "take 1"), ("mine", "marks.trc"), ("mine", "poses.npz"), (tmp_path.name, "walk.bvh"),
     ]  # fmt: skip
     kinds = {type(loader(path)) for _, path, loader in found}
     assert kinds == {Observation2D, Motion, Positions}
     rows = {(row.source, row.kind): row for row in inventory(tmp_path, video_fps=25)}
     assert rows["mine", "openpose"].fps == (25, 25) and rows["mine", "openpose"].points == (18, 18)
-    assert rows[tmp_path.name, "bvh"].minutes == pytest.approx(6 / 30 / 60) and rows["mine", "npz"].clips == 2
+    assert rows[tmp_path.name, "bvh"].minutes == pytest.approx(6 / 30 / 60)
+    assert rows["mine", "npz"].clips == rows["mine", "trc"].clips == 1
 
 
 def test_a_bad_file_stops_nothing_and_is_named(tmp_path):
@@ -46,16 +42,13 @@ def test_a_bad_file_stops_nothing_and_is_named(tmp_path):
         bvh.save(tmp_path / f"{name}.bvh", standing(6))
     (tmp_path / "b.bvh").write_text("HIERARCHY nothing")
     (tmp_path / "lost.amc").write_text(":DEGREES\n1\nroot 0 0 0 0 0 0\n")
-    (tmp_path / "captury_falls" / "take").mkdir(parents=True)
-    (tmp_path / "captury_falls" / "take" / "projected7.csv").write_text("x")
     rows = {row.kind: row for row in inventory(tmp_path)}
     assert rows["bvh"].clips == 2 and rows["bvh"].fps == (30, 30)
     assert rows["bvh"].minutes == pytest.approx(2 * 6 / 30 / 60) and rows["bvh"].seen == 1
-    for kind, file in (("bvh", "b.bvh"), ("amc", "lost.asf"), ("2d", "take")):
+    for kind, file in (("bvh", "b.bvh"), ("amc", "lost.asf")):
         (error,) = rows[kind].unread
         assert isinstance(error, DataError | MissingData) and file in str(error)
-    for kind in ("amc", "2d"):
-        assert (rows[kind].clips, rows[kind].minutes, rows[kind].points) == (0, 0, (0, 0))
+    assert (rows["amc"].clips, rows["amc"].minutes, rows["amc"].points) == (0, 0, (0, 0))
     (tmp_path / "b.bvh").unlink()
     assert [row.unread for row in inventory(tmp_path) if row.kind == "bvh"] == [()]
 
@@ -91,46 +84,17 @@ def test_an_npz_of_no_known_layout_says_its_keys(tmp_path):
         io.load(tmp_path / "c.npz")
 
 
-def test_anidance_adds_the_centre_and_stands_up(tmp_path):
-    dance(tmp_path / "a.npz")
-    loaded = points.load_anidance(tmp_path / "a.npz")
-    raw = np.arange(4 * 72.0).reshape(4, 24, 3) / 100
-    world = raw + np.concatenate([np.zeros_like(raw[:, :1]), np.broadcast_to(raw[:, :1], (4, 23, 3))], axis=1)
-    expected = np.stack([world[..., 0], -world[..., 2], world[..., 1]], axis=-1)
-    np.testing.assert_allclose(loaded.positions.numpy(), expected, rtol=1e-6)
-    assert len(set(points.NAMES)) == 24
-
-
-@needs_data
-def test_anidance_names_fit_the_bodies():
-    """Sides and order by anatomy: knees bend forward, feet point forward, the right is right of the left."""
-    heads, knees, feet, spread = [], [], [], []
-    for _, path, loader in recordings(DATA, "anidance"):
-        loaded = loader(path)
-        at = {name: loaded.positions[:, k] for k, name in enumerate(loaded.names)}
-        right = at["right_hip"] - at["left_hip"] + at["right_shoulder"] - at["left_shoulder"]
-        forward = torch.linalg.cross(torch.tensor([0.0, 0.0, 1.0]).expand_as(right), right)
-        forward = forward / forward.norm(dim=-1, keepdim=True)
-        middle = (at["left_hip"] + at["left_ankle"]) / 2
-        knees.append(((at["left_knee"] - middle) * forward).sum(-1).mean())
-        feet.append(((at["right_toe"] - at["right_heel"]) * forward).sum(-1).mean())
-        heads.append((at["left_head"] - at["left_ankle"])[:, 2].mean())
-        limbs = [("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"), ("ankle", "toe"), ("shoulder", "elbow"),
-                 ("elbow", "forearm"), ("forearm", "wrist"), ("wrist", "hand")]  # fmt: skip
-        bones = [(at[f"{side}_{a}"], at[f"{side}_{b}"]) for side in ("left", "right") for a, b in limbs]
-        lengths = torch.stack([(a - b).norm(dim=-1) for a, b in bones])
-        spread.append(lengths.std(-1).median())
-    assert min(heads) > 1.2 and torch.stack(knees).mean() > 0.03 and torch.stack(feet).mean() > 0.1
-    assert torch.stack(spread).mean() < 0.03
-
-
 @needs_data
 def test_every_recording_of_the_data_set_loads():
     large = {"cmu_library", "cmu_native"}  # of these a sample is a test's elsewhere
-    rows = {(r.source, r.kind): r for name in sorted(set(SOURCES) - large) for r in inventory(DATA, name)}
-    clips = {"bandai_namco": 213, "anidance": 38, "cmu_amc": 17, "deepmimic": 29, "reactidle": 4}
+    rows = {
+        (r.source, r.kind): r
+        for name in sorted({path.name for path in DATA.iterdir()} - large)
+        for r in inventory(DATA, name)
+    }
+    clips = {"bandai_namco": 213, "cmu_amc": 17, "deepmimic": 29, "reactidle": 4, "captury_falls": 3}
     assert {name: sum(r.clips for r in rows.values() if r.source == name) for name in clips} == clips
-    minutes = {"bandai_namco": 18.4, "anidance": 19.6, "cmu_amc": 5.8, "deepmimic": 4.5, "reactidle": 7.0}
+    minutes = {"bandai_namco": 18.4, "cmu_amc": 5.8, "deepmimic": 4.5, "reactidle": 7.0}
     for name, expected in minutes.items():
         assert sum(r.minutes for r in rows.values() if r.source == name) == pytest.approx(expected, abs=0.06)
 
@@ -156,11 +120,10 @@ def test_what_is_passed_over_is_said_with_the_reason(tmp_path, capsys):
 
 def test_what_is_said_of_files_goes_to_the_loaders_that_take_it(tmp_path):
     bvh.save(tmp_path / "walk.bvh", standing(6))
-    dance(tmp_path / "dance.npz")
     (given,) = (r for r in recordings(tmp_path, reading={"unit": "m", "up": "y"}) if r.path.suffix == ".bvh")
     assert given.loader(given.path).notes == ()
-    rows = {row.kind: row for row in inventory(tmp_path, reading={"fps": 12.0})}
-    assert rows["bvh"].fps == (12, 12) and rows["npz"].fps == (25, 25) and not rows["npz"].unread
+    (row,) = inventory(tmp_path, reading={"fps": 12.0, "animation": 1})
+    assert row.fps == (12, 12) and not row.unread
 
 
 def test_one_file_is_a_folder_of_one(tmp_path, capsys):

@@ -7,7 +7,7 @@ from seeds import trc_text as table
 
 from motionlab.errors import ShapeError
 from motionlab.io import points
-from motionlab.io.points import axes_to_matrix
+from motionlab.io.judging import axes_to_matrix
 from tests.recorded import DATA, needs_data
 
 

@@ -8,11 +8,11 @@ import torch
 
 from motionlab.errors import DataError, ShapeError
 from motionlab.files import write_whole
-from motionlab.io import amass, bvh, gltf
+from motionlab.io import bvh, gltf, smpl
 from suite.findings import Record, save_record
 from tests.figures import standing
 
-SAVERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save}
+SAVERS = {".bvh": bvh.save, ".npz": smpl.save_motion, ".glb": gltf.save}
 
 
 @pytest.mark.parametrize("suffix", SAVERS)

@@ -12,8 +12,7 @@ from motionlab.__main__ import main
 from motionlab.animate import looping, restore
 from motionlab.baselines import Noise
 from motionlab.errors import DataError
-from motionlab.metrics.gait import slide_where_truth_stands_mm
-from motionlab.metrics.pose import jitter
+from motionlab.metrics import jitter, slide_where_truth_stands_mm
 from motionlab.motion import Motion
 from motionlab.retarget import retarget
 from motionlab.skeleton import FEET, STANDARD, UPRIGHT

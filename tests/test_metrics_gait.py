@@ -8,8 +8,7 @@ import torch
 
 from data_synth import scenes
 from data_synth.actions import ACTIONS
-from motionlab import rotation
-from motionlab.metrics import gait, intervals
+from motionlab import metrics, rotation
 from motionlab.skeleton import STANDARD
 from tests.draws import seeded
 from tests.figures import standing
@@ -26,14 +25,14 @@ def bent(hip, knee):
 
 
 def test_angles_of_a_seat():
-    tilt, bend = gait.tilt_and_bend(bent(90, 80))
-    rest_tilt, rest_bend = gait.tilt_and_bend(bent(0, 0))
+    tilt, bend = metrics.tilt_and_bend(bent(90, 80))
+    rest_tilt, rest_bend = metrics.tilt_and_bend(bent(0, 0))
     assert ((tilt - rest_tilt) - 90).abs().max() < 3 and ((bend - rest_bend) - 80).abs().max() < 3
 
 
 @pytest.mark.parametrize(("hip", "knee", "seated"), [(90, 90, 1), (90, 20, 0), (20, 90, 0), (0, 0, 0)])
 def test_who_sits(hip, knee, seated):
-    assert gait.sits(bent(hip, knee)).tolist() == [seated] * 2
+    assert metrics.sits(bent(hip, knee)).tolist() == [seated] * 2
 
 
 def test_a_turned_world_changes_no_step():
@@ -43,12 +42,12 @@ def test_a_turned_world_changes_no_step():
     rot = motion.rot.clone()
     rot[..., 0, :, :] = turn @ rot[..., 0, :, :]
     turned = replace(motion, root=motion.root @ turn.mT, rot=rot)
-    torch.testing.assert_close(gait.ahead(turned), gait.ahead(motion), atol=1e-4, rtol=0)
+    torch.testing.assert_close(metrics.ahead(turned), metrics.ahead(motion), atol=1e-4, rtol=0)
 
 
 def test_paired_differences():
     x = torch.randn(200, generator=seeded())
-    found = intervals.paired(x + 1 + 0.1 * torch.randn(200, generator=seeded(1)), x, seeded(2))
+    found = metrics.paired(x + 1 + 0.1 * torch.randn(200, generator=seeded(1)), x, seeded(2))
     assert found.low < 1 < found.high < 1.1 and found.n == 200
-    assert intervals.paired(torch.tensor([1.0, torch.nan, 3.0]), torch.zeros(3), seeded()).n == 2
+    assert metrics.paired(torch.tensor([1.0, torch.nan, 3.0]), torch.zeros(3), seeded()).n == 2
     assert str(found).startswith("+1.0")

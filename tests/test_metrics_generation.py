@@ -8,9 +8,8 @@ import pytest
 import scipy.linalg
 import torch
 
-from motionlab import rotation
+from motionlab import metrics, rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.metrics import generation as g
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from studies.nb01_data import sources_compared
@@ -33,20 +32,22 @@ def test_frechet_agrees_with_scipy(n, d):
     a, b = (np.atleast_2d(np.cov(z.numpy(), rowvar=False)) for z in (x, y))
     root = scipy.linalg.sqrtm(a @ b).real
     expected = ((x.mean(0) - y.mean(0)) ** 2).sum().item() + np.trace(a + b - 2 * root)
-    assert g.frechet(x, y) == pytest.approx(expected, rel=1e-9)
+    assert metrics.frechet(x, y) == pytest.approx(expected, rel=1e-9)
 
 
 def test_frechet_closed_forms():
     square = math.sqrt(1.5) * torch.tensor([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]).double() / math.sqrt(2)
-    assert g.frechet(square, square + torch.tensor([3.0, 4.0])) == pytest.approx(25)
-    assert g.frechet(square, square * torch.tensor([2.0, 3.0])) == pytest.approx(5)  # (1 - 2)^2 + (1 - 3)^2
-    assert g.frechet(square, square * torch.tensor([2.0, 0.0])) == pytest.approx(2)  # singular: (1 - 2)^2 + (1 - 0)^2
+    assert metrics.frechet(square, square + torch.tensor([3.0, 4.0])) == pytest.approx(25)
+    assert metrics.frechet(square, square * torch.tensor([2.0, 3.0])) == pytest.approx(5)  # (1 - 2)^2 + (1 - 3)^2
+    assert metrics.frechet(square, square * torch.tensor([2.0, 0.0])) == pytest.approx(
+        2
+    )  # singular: (1 - 2)^2 + (1 - 0)^2
 
 
 def test_frechet_with_fewer_samples_than_features_is_zero_for_equal_sets():
     x = correlated(20, 50, 3)
-    assert g.frechet(x, x) < 1e-9 * x.var(0).sum().item()
-    assert g.frechet(x, x + 1) == pytest.approx(50, rel=1e-9)
+    assert metrics.frechet(x, x) < 1e-9 * x.var(0).sum().item()
+    assert metrics.frechet(x, x + 1) == pytest.approx(50, rel=1e-9)
 
 
 # ------------------------------------------------------------------------------------------------- manifolds
@@ -66,21 +67,19 @@ def naive_density_coverage(fake, real, k):
 @pytest.mark.parametrize("k", [1, 3, 5])
 def test_manifolds_agree_with_loops(k):
     x, y = normal(40, 3, 1, scale=0.5, shift=1.0), normal(50, 3, 2)
-    found = g.precision_recall(x, y, k)
-    assert found.precision == pytest.approx(naive_manifold(y.tolist(), x.tolist(), k))
-    assert found.recall == pytest.approx(naive_manifold(x.tolist(), y.tolist(), k))
-    assert 0 < found.recall < 1
-    crowd = g.density_coverage(x, y, k)
-    assert (crowd.density, crowd.coverage) == pytest.approx(naive_density_coverage(x.tolist(), y.tolist(), k))
+    precision, recall = metrics.precision_recall(x, y, k)
+    assert precision == pytest.approx(naive_manifold(y.tolist(), x.tolist(), k))
+    assert recall == pytest.approx(naive_manifold(x.tolist(), y.tolist(), k))
+    assert 0 < recall < 1
+    assert metrics.density_coverage(x, y, k) == pytest.approx(naive_density_coverage(x.tolist(), y.tolist(), k))
 
 
 def test_manifolds_by_hand_on_the_edge_of_a_ball():
     """Real samples 0..4 on a line, k = 1: every ball has radius 1. Precision counts the edge, density does not."""
     real = torch.arange(5.0)[:, None]
     fake = torch.tensor([[1.0], [-1.0], [5.5]])
-    assert g.precision_recall(fake, real, 1).precision == pytest.approx(2 / 3)
-    crowd = g.density_coverage(fake, real, 1)
-    assert (crowd.density, crowd.coverage) == pytest.approx((1 / 3, 1 / 5))  # only 1 lies inside a ball, its own
+    assert metrics.precision_recall(fake, real, 1)[0] == pytest.approx(2 / 3)
+    assert metrics.density_coverage(fake, real, 1) == pytest.approx((1 / 3, 1 / 5))  # only 1 lies in a ball, its own
 
 
 def test_control_mode_collapse_costs_recall_and_coverage_but_not_precision():
@@ -90,13 +89,12 @@ def test_control_mode_collapse_costs_recall_and_coverage_but_not_precision():
     good = torch.cat((normal(150, 3, 3), normal(150, 3, 4) + hump))
     collapsed = normal(300, 3, 5)
     for fake, whole in ((good, True), (collapsed, False)):
-        both, crowd = g.precision_recall(fake, real), g.density_coverage(fake, real)
-        assert both.precision > 0.8
-        assert (both.recall > 0.8) == whole and (crowd.coverage > 0.8) == whole
-    assert g.precision_recall(collapsed, real).recall == pytest.approx(0.5, abs=0.06)
+        (precision, recall), (_, coverage) = metrics.precision_recall(fake, real), metrics.density_coverage(fake, real)
+        assert precision > 0.8 and (recall > 0.8) == whole and (coverage > 0.8) == whole
+    assert metrics.precision_recall(collapsed, real)[1] == pytest.approx(0.5, abs=0.06)
 
 
-@pytest.mark.parametrize("measure", [g.frechet, g.precision_recall, g.density_coverage])
+@pytest.mark.parametrize("measure", [metrics.frechet, metrics.precision_recall, metrics.density_coverage])
 def test_bad_sets_are_refused(measure):
     good = normal(10, 3)
     for bad in (normal(10, 4), normal(1, 3), normal(10, 3)[0]):
@@ -112,7 +110,7 @@ def test_bad_sets_are_refused(measure):
 
 # ------------------------------------------------------------------------------------------- physical descriptions
 def noisy(seed, shift, people=30):
-    table = shift + torch.randn(10 * people, len(g.DESCRIPTION_UNITS), generator=seeded(seed))
+    table = shift + torch.randn(10 * people, len(sources_compared.DESCRIPTION_UNITS), generator=seeded(seed))
     return sources_compared.Windows(table, torch.arange(people).repeat_interleave(10), ("walk",) * len(table))
 
 
@@ -133,14 +131,14 @@ def test_quick_motion_is_the_share_above_four_hertz():
     motion = standing(90)
     t = torch.arange(90) / 30
     slow, fast = (motion.root + torch.stack((0.1 * (2 * math.pi * f * t).sin(), 0 * t, 0 * t), -1) for f in (1.0, 8.0))
-    share = [g.describe(replace(motion, root=r))["quick motion"].item() for r in (slow, fast)]
+    share = [sources_compared.describe(replace(motion, root=r))["quick motion"].item() for r in (slow, fast)]
     assert share[0] < 1 < 99 < share[1]
 
 
 def test_feet_on_the_floor_are_measured():
     motion = standing(90)
     lifted = replace(motion, root=motion.root + torch.tensor([0.0, 0.0, 0.4]))
-    on, off = (g.describe(m)["feet on the floor"].item() for m in (motion, lifted))
+    on, off = (sources_compared.describe(m)["feet on the floor"].item() for m in (motion, lifted))
     assert (on, off) == (100, 0)
 
 
@@ -151,8 +149,8 @@ def test_describe_a_turning_gliding_statue():
     rot = rotation.axis_angle_to_matrix(aa)
     rot[:, 0] = rotation.rotation_about("z", math.radians(90) * t) @ UPRIGHT
     root = torch.stack((1.2 * t, torch.zeros(30), torch.full((30,), 0.992)), -1)
-    found = g.describe(Motion(STANDARD, root, rot, 30.0))
-    assert set(found) == set(g.DESCRIPTION_UNITS)
+    found = sources_compared.describe(Motion(STANDARD, root, rot, 30.0))
+    assert set(found) == set(sources_compared.DESCRIPTION_UNITS)
     expected = {"root speed": 1.2, "turning rate": 90.0, "knee flexion": 40.0, "elbow flexion": 0.0}
     for name, value in expected.items():
         assert found[name].item() == pytest.approx(value, abs=0.05), name

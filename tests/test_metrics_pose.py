@@ -6,9 +6,8 @@ import torch
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import procrustes
 
-from motionlab import rotation
+from motionlab import metrics, rotation
 from motionlab.errors import DataError, ShapeError
-from motionlab.metrics import gait, pose
 
 GOLDEN = np.load(Path(__file__).parent / "golden" / "humor_metrics.npz")
 F64 = torch.float64
@@ -20,7 +19,7 @@ def walks(generator: torch.Generator, *shape: int) -> torch.Tensor:
 
 def test_golden_acceleration_of_humor():
     joints = np.load(Path(__file__).parent / "golden" / "humor_energies.npz")["world_joints"][0].reshape(-1, 22, 3)
-    found = pose.acceleration(torch.as_tensor(joints).double(), 30.0)
+    found = metrics.acceleration(torch.as_tensor(joints).double(), 30.0)
     torch.testing.assert_close(
         found, torch.as_tensor(GOLDEN["metric_accel_mag"]).reshape(found.shape), rtol=1e-10, atol=1e-10
     )
@@ -29,15 +28,15 @@ def test_golden_acceleration_of_humor():
 def test_mpjpe_of_a_shift_a_turn_and_a_scale(generator):
     truth = walks(generator, 4, 6, 22)
     shifted = truth + torch.tensor([0.3, 0.0, 0.4])
-    assert torch.allclose(pose.mpjpe(shifted, truth, align="none"), torch.full((4,), 0.5, dtype=F64))
-    assert pose.mpjpe(shifted, truth, align="root").max() < 1e-12
+    assert torch.allclose(metrics.mpjpe(shifted, truth, align="none"), torch.full((4,), 0.5, dtype=F64))
+    assert metrics.mpjpe(shifted, truth, align="root").max() < 1e-12
     turned = shifted @ rotation.random((4, 6), generator, dtype=F64)
-    assert pose.mpjpe(turned, truth, align="root").min() > 0.1
-    assert pose.mpjpe(turned, truth, align="rigid").max() < 1e-12
-    assert pose.mpjpe(2 * turned, truth, align="rigid").min() > 0.1
-    assert pose.mpjpe(2 * turned, truth, align="similarity").max() < 1e-12
+    assert metrics.mpjpe(turned, truth, align="root").min() > 0.1
+    assert metrics.mpjpe(turned, truth, align="rigid").max() < 1e-12
+    assert metrics.mpjpe(2 * turned, truth, align="rigid").min() > 0.1
+    assert metrics.mpjpe(2 * turned, truth, align="similarity").max() < 1e-12
     mirrored = turned * torch.tensor([-1.0, 1.0, 1.0])
-    assert pose.mpjpe(mirrored, truth, align="similarity").min() > 0.1  # no alignment may reflect
+    assert metrics.mpjpe(mirrored, truth, align="similarity").min() > 0.1  # no alignment may reflect
 
 
 @pytest.mark.parametrize("which", ["predicted", "truth"])
@@ -47,10 +46,10 @@ def test_what_is_not_finite_cannot_be_aligned(generator, which, bad):
     pair[which][2, 7, 1] = bad
     for align in ("rigid", "similarity"):
         with pytest.raises(DataError, match=rf"{which}\[2, 7, 1\]: cannot be aligned"):
-            pose.mpjpe(**pair, align=align)
-    assert not pose.joint_errors(**pair, align="none").isfinite().all()
+            metrics.mpjpe(**pair, align=align)
+    assert not metrics.joint_errors(**pair, align="none").isfinite().all()
     with pytest.raises(ShapeError, match="truth"):
-        pose.align_procrustes(pair["predicted"], pair["truth"][:, :21], scale=False)
+        metrics.align_procrustes(pair["predicted"], pair["truth"][:, :21], scale=False)
 
 
 def test_similarity_alignment_agrees_with_scipy_where_no_reflection_is_better(generator):
@@ -58,7 +57,7 @@ def test_similarity_alignment_agrees_with_scipy_where_no_reflection_is_better(ge
     predicted = truth + 0.1 * walks(generator, 10)
     centred = truth - truth.mean(0)
     _, _, disparity = procrustes(truth.numpy(), predicted.numpy())
-    ours = (pose.align_procrustes(predicted, truth, scale=True) - truth).square().sum() / centred.square().sum()
+    ours = (metrics.align_procrustes(predicted, truth, scale=True) - truth).square().sum() / centred.square().sum()
     np.testing.assert_allclose(ours, disparity)
 
 
@@ -66,38 +65,38 @@ def test_visible_and_occluded_are_split_and_nothing_seen_is_nan(generator):
     truth = walks(generator, 2, 5, 22)
     visible = torch.rand(2, 5, 22, generator=generator) < 0.5
     predicted = truth + torch.where(visible, 0.0, 2.0)[..., None] * torch.tensor([1.0, 0, 0])
-    seen, unseen = (pose.mpjpe(predicted, truth, align="none", mask=which) for which in (visible, ~visible))
+    seen, unseen = (metrics.mpjpe(predicted, truth, align="none", mask=which) for which in (visible, ~visible))
     torch.testing.assert_close(seen, torch.zeros(2, dtype=F64))
     torch.testing.assert_close(unseen, torch.full((2,), 2.0, dtype=F64))
-    assert pose.mpjpe(predicted, truth, align="none", mask=torch.zeros(2, 5, 22)).isnan().all()
+    assert metrics.mpjpe(predicted, truth, align="none", mask=torch.zeros(2, 5, 22)).isnan().all()
 
 
 def test_unmasked_nan_does_not_leak_and_masked_mean_counts(generator):
     values = torch.tensor([[1.0, float("nan")], [3.0, 5.0]])
     mask = torch.tensor([[True, False], [True, True]])
-    assert pose.masked_mean(values, mask, 2) == 3
-    assert pose.masked_mean(values, None, 2).isnan()
+    assert metrics.masked_mean(values, mask, 2) == 3
+    assert metrics.masked_mean(values, None, 2).isnan()
 
 
 @pytest.mark.parametrize("fps", [30.0, 120.0])
 def test_acceleration_and_jitter_of_known_paths(fps):
     t = torch.arange(40, dtype=F64)[:, None, None] / fps
     parabola = torch.cat((t, 0 * t, -9.81 / 2 * t**2), -1)
-    torch.testing.assert_close(pose.mean_acceleration(parabola, fps), torch.tensor(9.81, dtype=F64))
-    torch.testing.assert_close(pose.acceleration_error(parabola, 0 * parabola, fps), torch.tensor(9.81, dtype=F64))
-    assert pose.jitter(parabola, fps) < 1e-6
+    torch.testing.assert_close(metrics.mean_acceleration(parabola, fps), torch.tensor(9.81, dtype=F64))
+    torch.testing.assert_close(metrics.acceleration_error(parabola, 0 * parabola, fps), torch.tensor(9.81, dtype=F64))
+    assert metrics.jitter(parabola, fps) < 1e-6
     cubic = torch.cat((5 * t**3, 0 * t, 0 * t), -1)
-    torch.testing.assert_close(pose.jitter(cubic, fps), torch.tensor(30.0, dtype=F64), rtol=1e-6, atol=0)
+    torch.testing.assert_close(metrics.jitter(cubic, fps), torch.tensor(30.0, dtype=F64), rtol=1e-6, atol=0)
 
 
 def test_too_few_frames_are_nan_not_zero(generator):
-    for frames, measure in ((2, pose.mean_acceleration), (3, pose.jitter)):
+    for frames, measure in ((2, metrics.mean_acceleration), (3, metrics.jitter)):
         assert measure(walks(generator, frames, 22), 30.0).isnan()
         assert measure(walks(generator, frames + 1, 22), 30.0).isfinite()
     one = walks(generator, 1, 2)
-    assert pose.power_spectrum_ratio(one, one, 30.0, [0.0, 5.0, 15.0]).isnan().tolist() == [True, True]
-    assert gait.skating_ratio(one, 30.0).isnan()
-    assert gait.slide_in_contact_mm(one, torch.ones(1, 2)).isnan()
+    assert metrics.power_spectrum_ratio(one, one, 30.0, [0.0, 5.0, 15.0]).isnan().tolist() == [True, True]
+    assert metrics.skating_ratio(one, 30.0).isnan()
+    assert metrics.slide_in_contact_mm(one, torch.ones(1, 2)).isnan()
 
 
 def test_power_ratio_sees_scale_smoothing_and_noise(generator):
@@ -105,13 +104,13 @@ def test_power_ratio_sees_scale_smoothing_and_noise(generator):
     low, high = torch.sin(2 * torch.pi * t), 0.1 * torch.sin(2 * torch.pi * 8 * t)
     truth = (low + high).expand(300, 2, 3)
     edges = [0.0, 4.0, 12.0, 15.1]
-    ratio = pose.power_spectrum_ratio(2 * truth, truth, 30.0, edges)
+    ratio = metrics.power_spectrum_ratio(2 * truth, truth, 30.0, edges)
     torch.testing.assert_close(ratio, torch.full((3,), 4.0, dtype=F64))
-    smooth = pose.power_spectrum_ratio(low.expand(300, 2, 3), truth, 30.0, edges)
+    smooth = metrics.power_spectrum_ratio(low.expand(300, 2, 3), truth, 30.0, edges)
     assert abs(smooth[0] - 1) < 1e-3 and smooth[1] < 1e-3
-    noisy = pose.power_spectrum_ratio(truth + 0.01 * walks(generator, 300, 2), truth, 30.0, edges)
+    noisy = metrics.power_spectrum_ratio(truth + 0.01 * walks(generator, 300, 2), truth, 30.0, edges)
     assert abs(noisy[0] - 1) < 0.1 and noisy[2] > 10
-    assert pose.power_spectrum_ratio(truth, truth, 30.0, [20.0, 30.0]).isnan().all()  # beyond Nyquist
+    assert metrics.power_spectrum_ratio(truth, truth, 30.0, [20.0, 30.0]).isnan().all()  # beyond Nyquist
 
 
 def naive_skating(feet, fps):
@@ -124,7 +123,7 @@ def naive_skating(feet, fps):
 
 def test_skating_ratio_agrees_with_gmd(generator):
     feet = torch.cumsum(0.02 * walks(generator, 8, 50, 2), dim=1)
-    found = gait.skating_ratio(feet, 20.0)
+    found = metrics.skating_ratio(feet, 20.0)
     np.testing.assert_allclose(found, [naive_skating(x, 20.0) for x in feet.numpy()])
     assert 0.05 < found.mean() < 0.95
 
@@ -133,34 +132,31 @@ def test_slides_are_in_millimetres_per_frame(generator):
     slide = torch.zeros(10, 2, 3, dtype=F64)
     slide[:, 0, 0] = torch.arange(10) * 0.002
     contacts = torch.tensor([1.0, 0.0]).expand(10, 2)
-    torch.testing.assert_close(gait.slide_in_contact_mm(slide, contacts), torch.tensor(2.0, dtype=F64))
-    assert gait.slide_in_contact_mm(slide, 0 * contacts).isnan()
+    torch.testing.assert_close(metrics.slide_in_contact_mm(slide, contacts), torch.tensor(2.0, dtype=F64))
+    assert metrics.slide_in_contact_mm(slide, 0 * contacts).isnan()
     standing = torch.zeros_like(slide)
-    torch.testing.assert_close(gait.slide_where_truth_stands_mm(slide, standing), torch.tensor(1.0, dtype=F64))
-    assert gait.slide_where_truth_stands_mm(slide, 10 * slide).isfinite()  # foot 1 of the truth stands
-    assert gait.slide_where_truth_stands_mm(slide[:, :1], 10 * slide[:, :1]).isnan()
+    torch.testing.assert_close(metrics.slide_where_truth_stands_mm(slide, standing), torch.tensor(1.0, dtype=F64))
+    assert metrics.slide_where_truth_stands_mm(slide, 10 * slide).isfinite()  # foot 1 of the truth stands
+    assert metrics.slide_where_truth_stands_mm(slide[:, :1], 10 * slide[:, :1]).isnan()
 
 
-def test_contact_scores_by_hand():
+def test_the_f1_of_contacts_by_hand():
     truth = torch.tensor([[1, 1, 0, 0], [1, 0, 0, 0]])
     predicted = torch.tensor([[1, 0, 1, 0], [1, 0, 0, 0]])
-    scores = gait.contact_scores(predicted, truth)
-    torch.testing.assert_close(torch.stack(scores), torch.tensor([2 / 3, 2 / 3, 2 / 3, 6 / 8], dtype=F64))
-    nothing = gait.contact_scores(0 * predicted, 0 * truth)
-    assert torch.stack(nothing[:3]).isnan().all() and nothing.accuracy == 1
-    assert gait.contact_scores(0 * predicted, truth).recall == 0
+    assert metrics.contact_f1(predicted, truth).item() == pytest.approx(2 / 3)
+    assert metrics.contact_f1(0 * predicted, 0 * truth).isnan() and metrics.contact_f1(0 * predicted, truth) == 0
 
 
 def test_wrong_names_and_shapes_other_than_the_truths_are_refused(generator):
     truth = walks(generator, 4, 6)
     with pytest.raises(ValueError, match="similarity"):
-        pose.mpjpe(truth, truth, align="procrustes")
+        metrics.mpjpe(truth, truth, align="procrustes")
     with pytest.raises(ShapeError, match="predicted"):
-        pose.mpjpe(torch.zeros(5), torch.zeros(5), align="none")
+        metrics.mpjpe(torch.zeros(5), torch.zeros(5), align="none")
     for predicted in (truth[:1], truth[:3], truth[:, :1], truth[:, :5]):
         with pytest.raises(ShapeError, match="truth"):
-            pose.mpjpe(predicted, truth, align="none")
+            metrics.mpjpe(predicted, truth, align="none")
         with pytest.raises(ShapeError, match="truth"):
-            pose.acceleration_error(predicted, truth, 30.0)
+            metrics.acceleration_error(predicted, truth, 30.0)
         with pytest.raises(ShapeError, match="truth"):
-            pose.power_spectrum_ratio(predicted, truth, 30.0, [0.0, 5.0])
+            metrics.power_spectrum_ratio(predicted, truth, 30.0, [0.0, 5.0])

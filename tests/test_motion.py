@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.motion import Motion, joined, mirror, resample, velocity, windows
+from motionlab.motion import Motion, mirror, resample, velocity, windows
 from motionlab.skeleton import STANDARD, Skeleton
 
 F64 = torch.float64
@@ -144,22 +144,6 @@ def test_windows_are_slices(generator):
     for length, stride in ((0, 1), (4, 0), (4, -1)):
         with pytest.raises(ShapeError, match="at least 1"):
             windows(motion, length, stride)
-
-
-def test_windows_join_on_one_body(generator):
-    labelled = windows(random_motion(generator, frames=40), 10, 5)
-    motion = replace(labelled, contacts=None)
-    both = joined([labelled, labelled.clip(slice(0, 2))])
-    assert len(both.root) == len(motion.root) + 2 and torch.equal(both.rot[-2:], motion.rot[:2])
-    assert both.contacts is not None and joined([labelled, motion]).contacts is None
-    longer = replace(motion, skeleton=replace(motion.skeleton, offsets=1.1 * motion.skeleton.offsets))
-    for other in (longer, motion.cut(0, 5), replace(motion, fps=1.0)):
-        with pytest.raises(ShapeError, match="one length and rate on one body"):
-            joined([motion, other])
-    with pytest.raises(ShapeError, match="none"):
-        joined([])
-    with pytest.raises(ShapeError, match=r"windows \(N, T\)"):
-        joined([motion.clip(0), motion.clip(1)])  # not one after the other
 
 
 def test_mirror_mirrors_every_joint_and_twice_is_nothing(generator):

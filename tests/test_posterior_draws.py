@@ -53,7 +53,7 @@ def rise(least, temperature, count=16):
 
     def listened(problem, unknown, loop, new):
         at, out = heard(problem, unknown, loop, new)
-        terms = motion_terms(problem, replace(at, z=out.rollout.z[:, None]))
+        terms = motion_terms(problem, replace(at, z=out.rollout.z))
         seen.append((sum(terms.values()), sum(0.5 * x.square().flatten(1).sum(1) for x in new.values())))
         return at, out
 

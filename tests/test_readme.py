@@ -8,10 +8,9 @@ import imageio.v2 as imageio
 import pytest
 import torch
 
-from motionlab import examples, io, retarget
+from motionlab import bench, examples, io, retarget
 from motionlab.baselines import curve_weights
-from motionlab.bench import judge
-from motionlab.bench.cases import PersonWindows
+from motionlab.bench import PersonWindows
 from motionlab.commands import onnx_export
 from motionlab.commands.options import parser
 from motionlab.contact import with_contacts
@@ -123,7 +122,7 @@ PROMISES = (
 def test_example_runs_as_printed_and_keeps_its_promise(number, promise, desk, monkeypatch):
     """Each stands alone: nothing of one is needed by another."""
     monkeypatch.chdir(desk)
-    monkeypatch.setattr(judge, "people", walk_as_a_person)
+    monkeypatch.setattr(bench, "people", walk_as_a_person)
     monkeypatch.setattr(examples, "WALK", desk / "begun.bvh")
     if promise is is_what_the_export_computes:
         onnx_export.export(completer.load("completer"), "inbetween.onnx")

@@ -5,11 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab import io, rotation
+from motionlab import io, metrics, rotation
 from motionlab.contact import contacts_from_positions
 from motionlab.errors import DataError, ShapeError
 from motionlab.ik import two_bone_ik
-from motionlab.metrics import gait
 from motionlab.motion import Motion
 from motionlab.retarget import Retargeted, retarget
 from motionlab.skeleton import FEET, STANDARD, UPRIGHT, Skeleton
@@ -154,7 +153,7 @@ def skates(source: Motion, found: Retargeted) -> tuple[float, float]:
     after = found.motion.positions[:, STANDARD.indices(feet)]
     rests = contacts_from_positions(before, source.fps, torch.quantile(before[..., 2], 0.02, dim=0))
     level = torch.tensor([1.0, 1.0, 0.0]).to(before)
-    return tuple(float(gait.slide_in_contact_mm(level * points, rests)) for points in (before, after))
+    return tuple(float(metrics.slide_in_contact_mm(level * points, rests)) for points in (before, after))
 
 
 def test_feet_that_stood_still_stand_still(generator):

@@ -12,7 +12,7 @@ from motionlab.__main__ import main
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
 from motionlab.io import bvh, gltf
-from motionlab.metrics.gait import slide_where_truth_stands_mm
+from motionlab.metrics import slide_where_truth_stands_mm
 from motionlab.motion import Motion
 from motionlab.retarget import match_joints, put_on, retarget, retarget_onto
 from motionlab.skeleton import FEET, STANDARD, UPRIGHT

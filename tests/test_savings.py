@@ -7,7 +7,7 @@ import torch
 
 from data_synth import clips, scenes
 from motionlab.footage.scene_fit import FULL_WORK
-from motionlab.humor import compiled, pretrained, stages, testops, unknowns
+from motionlab.humor import compiled, pretrained, stages, testops
 from motionlab.humor.energies import JOINTS
 from studies.nb08_fast import trials
 from studies.shared import joints, profiling, savings
@@ -37,10 +37,10 @@ def nodes(work, found):
 
 def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(work, monkeypatch):
     monkeypatch.setattr(compiled, "FEW", 0)  # in tensors
-    for on, form in ((LEAN, unknowns.LEAN), (FAITHFUL, savings.OFFICIAL)):
+    for on, form in ((LEAN, {}), (FAITHFUL, savings.OFFICIAL)):
         unknown = work.unknowns(WHOLE, on)
         with savings.weights_of(work.problem.priors, on):
-            theirs = stages.motion_terms(replace(work.problem, parametrisation=form), unknown)
+            theirs = stages.motion_terms(replace(work.problem, **form), unknown)
         ours = savings.terms(work.problem, unknown, on)
         assert apart(ours, theirs) < 1e-6
         assert abs(nodes(work, ours) - nodes(work, theirs)) <= 0.01 * nodes(work, theirs)

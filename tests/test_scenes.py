@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from data_synth import corpus, scenes
-from motionlab.metrics import gait
+from motionlab import metrics
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, project
 
@@ -53,7 +53,7 @@ def test_sitting_hides_the_legs_from_the_first_frame_and_ends_on_the_seat(shot):
     assert not scene.observation.visible[..., LEGS].any()
     assert not scene.seen[..., scene.truth.skeleton.indices(KNEES)].any()
     assert scene.observation.visible[..., BODY_25.index("neck")].all()
-    tilt, bend = (angle.mean(-1) for angle in gait.tilt_and_bend(scene.truth))
+    tilt, bend = (angle.mean(-1) for angle in metrics.tilt_and_bend(scene.truth))
     assert (tilt[:, -10:] > 60).all() and (bend[:, -10:] > 60).all()
     assert (tilt[:, :3] < 30).all()
 

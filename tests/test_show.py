@@ -39,7 +39,8 @@ def filmed(monkeypatch):
 
 # ------------------------------------------------------------------------------------------------ the command
 def subcommands() -> dict[str, argparse.ArgumentParser]:
-    return parser().commands.choices
+    (action,) = (each for each in parser()._actions if each.dest == "command")
+    return action.choices
 
 
 def example(parser: argparse.ArgumentParser) -> list[str]:
@@ -155,9 +156,9 @@ def test_control_half_a_second_is_made(desk):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("generate --count 0 --out made", "give a number above 0"),
-        ("generate --count -2 --out made", "give a number above 0"),
-        ("generate --count 2.5 --out made", "invalid int value"),
+        ("generate --count 0 --out made", "a whole number above 0"),
+        ("generate --count -2 --out made", "a whole number above 0"),
+        ("generate --count 2.5 --out made", "a whole number above 0"),
         ("generate --seed -1 --out made", "a whole number from 0"),
         ("generate --seed 99999999999999999999 --out made", "a whole number from 0"),
         ("generate --out walk.bvh", "name another folder"),

@@ -63,7 +63,6 @@ def test_report_counts_by_hand():
     report = skinning.weight_report(strip(torch.tensor([[0.995, 0.005, 0.0], [0.5, 0.5, 0.0], [0.0, 0.001, 0.999]])))
     assert report.small == 4
     assert report.share_of_nonzero == pytest.approx(1 / 3) and report.share_of_all == pytest.approx(2 / 9)
-    assert report.vertices == pytest.approx(2 / 3)
 
 
 def test_surface_distance_agrees_with_another_graph_library(clean):
@@ -164,7 +163,7 @@ def test_displacement_is_zero_at_rest_and_else_what_skinning_says(faulty, genera
     still = Motion(STANDARD, root, torch.eye(3).repeat(5, 22, 1, 1), 30.0)
     moving = Motion(STANDARD, root, rot, 30.0)
     body, pruned = faulty[0], skinning.prune(faulty[0])
-    assert skinning.displacement(body, pruned, still)[1] < 1e-6
+    assert skinning.displacement(body, pruned, still).max() < 1e-6
     direct = (lbs(body, STANDARD, root, rot) - lbs(pruned, STANDARD, root, rot)).norm(dim=-1)
-    expected = pytest.approx((float(direct.mean()), float(direct.max())), rel=1e-4)
-    assert skinning.displacement(body, pruned, moving) == expected and direct.max() > 1e-5
+    torch.testing.assert_close(skinning.displacement(body, pruned, moving), direct, rtol=1e-4, atol=1e-7)
+    assert direct.max() > 1e-5

@@ -7,9 +7,8 @@ import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import rotation
-from motionlab.bench import cases
-from motionlab.bench.cases import PersonWindows
+from motionlab import bench, rotation
+from motionlab.bench import PersonWindows
 from motionlab.diffusion.model import motion_model
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.motion import Motion
@@ -29,7 +28,7 @@ def moving(count, seed=0):
 
 
 def people(count):
-    lacks = torch.zeros(count, 1, cases.JOINTS + 2, dtype=torch.bool)
+    lacks = torch.zeros(count, 1, bench.JOINTS + 2, dtype=torch.bool)
     return PersonWindows(moving(count), torch.arange(count) // 2, lacks)
 
 
@@ -38,7 +37,7 @@ def test_a_perfect_guess_leaves_nothing_and_only_legs_are_asked_for():
     assert learning.left_cm(model, some, some.x).max() < 1e-3
     off = some.x + 0.1 * torch.randn(some.x.shape, generator=seeded(1))
     made, truth = (learning.filled(model, some, x).positions for x in (off, some.x))
-    legs = STANDARD.indices(cases.LOWER)
+    legs = STANDARD.indices(bench.LOWER)
     above = [j for j in range(len(STANDARD)) if j not in legs]
     assert torch.equal(made[..., above, :], truth[..., above, :])
     assert learning.left_cm(model, some, off).min() > 0.1

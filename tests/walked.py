@@ -11,7 +11,7 @@ from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
 from motionlab.footage import fit, scene_fit
 from motionlab.humor import testops
-from motionlab.humor.shooting.feedback_solver import Plan
+from motionlab.humor.feedback_solver import Plan
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, look_at, project
 

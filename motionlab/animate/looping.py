@@ -14,7 +14,7 @@ from motionlab.animate.corrections import LEGS, KeyMask, Rig
 from motionlab.animate.filling import Animated
 from motionlab.animate.foot_locking import standing_feet
 from motionlab.errors import DataError
-from motionlab.metrics.gait import slide_in_contact_mm
+from motionlab.metrics import slide_in_contact_mm
 from motionlab.motion import Motion, fix_root_horizontally
 from motionlab.retarget import retarget
 from motionlab.skeleton import ANKLES, BALLS

@@ -19,7 +19,7 @@ from torch import Tensor
 from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
-from motionlab.io import amass, bvh, gltf
+from motionlab.io import bvh, gltf, smpl
 from motionlab.io.reading import Location, check_writable, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion
 from motionlab.rest import reframed
@@ -160,10 +160,12 @@ def _line_end(line: str) -> str:
     return line[len(line.rstrip("\r\n")) :]
 
 
-def _npz(at: Location, loaded: Motion, made: Motion) -> bytes:
-    arrays = {k: np.array(x) for k, x in read_npz(at).items()}
-    places, moving = _smpl_keys(arrays)
+def _npz(at: Location, loaded: Motion, made: Motion) -> bytes | None:
+    places, moving = _smpl_keys(read_npz(at, smpl._KEYS))
     count = loaded.frames
+    if not places or made.fps != loaded.fps or made.frames < count:
+        return None
+    arrays = {k: np.array(x) for k, x in read_npz(at).items()}
     for key in {moving, "contacts", *(key for key, _ in places), "pose_jaw", "pose_eye", "pose_hand"} & arrays.keys():
         if len(arrays[key]) == count:
             arrays[key] = np.concatenate((arrays[key], np.repeat(arrays[key][-1:], made.frames - count, 0)))
@@ -186,9 +188,9 @@ def _npz(at: Location, loaded: Motion, made: Motion) -> bytes:
 
 def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], str]:
     """Where the axis-angle of each joint lies, as key and first column, and the key of the translation; else none."""
-    whole, root, parts, moving = amass.keys_of(arrays)
-    split = [(root, 0), *((parts, 3 * j) for j in range(amass.BODY - 1))]
-    places = [(whole, 3 * j) for j in range(amass.BODY)] if whole else split
+    whole, root, parts, moving = smpl.keys_of(arrays)
+    split = [(root, 0), *((parts, 3 * j) for j in range(smpl.BODY - 1))]
+    places = [(whole, 3 * j) for j in range(smpl.BODY)] if whole else split
     used = {key for key, _ in places} | {moving}
     several = moving and arrays[moving].ndim == 3 and arrays[moving].shape[1] > 1
     if "" in used or several or "smpl_scaling" in arrays or any(arrays[key].shape[-2:] == (3, 3) for key in used):
@@ -239,11 +241,10 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
         sampler, _, values = found.tracks.get((node, what), ({}, None, np.zeros(0)))
         output = sampler.get("output", -1)
         accessor = content["accessors"][output]
-        if outputs.count(output) != 1 or values.shape[:1] + values.shape[2:] != (loaded.frames,):
+        every = values.shape[:1] + values.shape[2:] == (loaded.frames,)
+        if not every or outputs.count(output) != 1 or accessor["componentType"] != 5126:
             name = loaded.skeleton.names[nodes.index(node)]
-            raise at.error(f"{name} has no {what} of its own in every frame", place=f"node {node}")
-        if accessor["componentType"] != 5126:
-            raise at.error(f"its {what} are no floats", place=f"node {node}")
+            raise at.error(f"{name} has no {what} of its own in every frame, in floats", place=f"node {node}")
         view = content["bufferViews"][accessor["bufferView"]]
         begin = start + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         old, width = values.copy(), values.shape[1]
@@ -286,8 +287,8 @@ def _of_whom(at: Location, content: dict, loaded: Motion) -> tuple[int, int | No
     raise at.error("read at other times than those of its keys", place="times")
 
 
-WRITERS = {".bvh": bvh.save, ".npz": amass.save, ".glb": gltf.save, ".npy": humanml.save}
-REWRITERS = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}
+WRITERS = {".bvh": bvh.save, ".npz": smpl.save_motion, ".glb": gltf.save, ".npy": humanml.save}
+REWRITERS = {".bvh": _bvh, ".npz": _npz, ".glb": _glb}  #: the file's bytes; none where it cannot hold such a motion
 _ANEW = {  # what is said of a file that is written anew
     ".bvh": "written anew, its numbers rounded to 1e-8 m and 1e-6 degrees",
     ".npz": "written anew as parameters of SMPL-H, in double precision",
@@ -322,16 +323,17 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     """
     check_target(source, target)
     suffix, lost = Path(target).suffix.lower(), _left_behind(source)
-    if source is not None and suffix == Path(source).suffix.lower() and _rewritable(source, loaded, made):
+    if source is not None and suffix == Path(source).suffix.lower() and suffix in REWRITERS:
         check_writable(target, made)
         try:
             with reading(source, _REMEDY) as at:
                 if made.skeleton.names != loaded.skeleton.names:
                     raise at.error("not the motion of this file")
                 content = REWRITERS[suffix](at, loaded, made)
-            write_whole(target, content)
-            changed = (made.frames, made.fps) != (loaded.frames, loaded.fps)
-            return _MORE if changed and suffix == ".glb" else _stayed(loaded, made)
+            if content is not None:
+                write_whole(target, content)
+                changed = (made.frames, made.fps) != (loaded.frames, loaded.fps)
+                return _MORE if changed and suffix == ".glb" else _stayed(loaded, made)
         except DataError as error:  # a GLB need not have a key for what changed in every frame
             if suffix != ".glb":
                 raise
@@ -343,16 +345,6 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
         made = retarget(made).motion
     WRITERS[suffix](target, made)
     return f"{_ANEW[suffix]}{lost}"
-
-
-def _rewritable(source: str | Path, loaded: Motion, made: Motion) -> bool:
-    """Whether a file, a BVH, an AMASS npz or a GLB, can hold so many frames at this rate."""
-    suffix = Path(source).suffix.lower()
-    if suffix != ".npz":
-        return suffix in REWRITERS
-    with reading(source) as at:
-        places, _ = _smpl_keys(read_npz(at, amass._KEYS))
-        return bool(places) and made.fps == loaded.fps and made.frames >= loaded.frames
 
 
 def _stayed(loaded: Motion, made: Motion) -> str:

@@ -98,8 +98,8 @@ def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Anima
     if not (options.loop or options.in_place):
         raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
     motion = cut(motion, options.source, options.cut)
-    blend = looping.BLEND if options.blend is None else options.blend
-    return looping.cycled(motion, loop=options.loop, in_place=options.in_place, blend=blend, plant=options.plant)
+    how = {"loop": options.loop, "in_place": options.in_place, "blend": options.blend, "plant": options.plant}
+    return looping.cycled(motion, **how)
 
 
 MAKERS = {
@@ -110,14 +110,12 @@ MAKERS = {
 
 def generate(options: argparse.Namespace) -> int:
     """Makes new motions."""
-    if options.count < 1:
-        raise DataError(f"{options.count} motions", place="--count", remedy="give a number above 0")
     with writing(options.out):
         options.out.mkdir(parents=True, exist_ok=True)
     if options.film:
         check_film(options.film, options.count)
     start = read_motion(options.start, options) if options.start else None
-    suffix = f".{options.format}" if options.format else options.start.suffix.lower() if options.start else ".bvh"
+    suffix = options.start.suffix.lower() if options.start else ""
     suffix = suffix if suffix in WRITTEN else ".bvh"
     how = {"start": start, "plant": options.plant, "progress": is_watched()}
     made, said = {}, []

@@ -4,14 +4,13 @@ kills its process is named and the others go on, and what is done stays done."""
 import argparse
 import sys
 import traceback
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
@@ -19,33 +18,29 @@ from motionlab.errors import DataError, MissingData, NotConverged, ShapeError
 from motionlab.parallel import run_jobs, threads_for
 
 Job = tuple[str, Path | None, Path | None, Path]  # name, what it is read from (one or two paths), and where it goes
-LIVES = 2  # how often a clip may lose its process while it is alone in it, until it is the one to blame
 PATIENCE = 60.0  # seconds that a cluster has to answer, and to have a worker
 
 
-@dataclass(frozen=True)
-class Failed:
+class Failed(NamedTuple):
     """Why a clip failed. trace: where, if it was no error that names the clip's own fault."""
 
     message: str
     trace: str = ""
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """What became of the jobs, each by its place in the list: what the function returned, what had been finished
     before, and what failed."""
 
-    names: tuple[str, ...]
-    results: dict[int, Any] = field(default_factory=dict)
-    skipped: tuple[int, ...] = ()
-    failed: dict[int, Failed] = field(default_factory=dict)
+    results: dict[int, Any]
+    skipped: tuple[int, ...]
+    failed: dict[int, Failed]
 
-    def lines(self) -> list[str]:
-        """Returns the report for a terminal: one line for all, and one for each clip that failed."""
+    def __str__(self) -> str:
+        """What became of them in numbers: "20 clips: 18 done, 2 failed"."""
         counts = {"done": self.results, "finished before": self.skipped, "failed": self.failed}
         said = ", ".join(f"{len(those)} {word}" for word, those in counts.items() if those or word == "done")
-        return [f"{len(self.names)} clips: {said}", *(f"{self.names[k]}: {x.message}" for k, x in self.failed.items())]
+        return f"{sum(map(len, counts.values()))} clips: {said}"
 
 
 def run_many(
@@ -54,28 +49,22 @@ def run_many(
 ) -> Batch:  # fmt: skip
     """Runs a function on every job that is not finished yet, each on one thread; shows progress.
 
-    A job that raises is reported when it does and at the end, and so is one whose process is killed twice while it is
-    alone in it; all others are done. Nothing is shared between jobs. A single job runs in this process, where Ctrl-C
+    A job that raises is reported when it does and at the end, and so is one whose process is killed, and again while
+    it is alone; all others are done. Nothing is shared between jobs. A single job runs in this process, where Ctrl-C
     means to a fit that it should end at its best; of several, Ctrl-C ends those that have begun, without a result. A
     cluster drops what has not begun; what its workers have begun they finish, unseen from here.
 
     function: of one job; both are pickled, so a module's function, or a ``functools.partial`` of one. finished: whether
     a job has been, by what its function writes last; asked before, and after. jobs_at_once: processes on this machine.
-    cluster: address of a Dask scheduler, tcp://HOST:PORT, whose workers do them, one thread each; they need this
-    library, and the folders of the jobs under the same names. name: of a job, for messages.
+    cluster: instead of these, address of a Dask scheduler, tcp://HOST:PORT, whose workers do them, one thread each;
+    they need this library, and the folders of the jobs under the same names. name: of a job, for messages.
 
     Raises:
-        DataError: jobs_at_once is below 1, or above it with a cluster, which has processes of its own; no such
-            cluster, one without workers, with workers of several threads, or one that went away; what is done stays
-            done. MissingData: a cluster without the package ``distributed``.
+        DataError: no such cluster, one without workers, with workers of several threads, or one that went away; what
+            is done stays done. MissingData: a cluster without the package ``distributed``.
     """
-    if jobs_at_once < 1:
-        raise DataError(f"{jobs_at_once} jobs", place="--jobs", remedy="give a number above 0")
-    if jobs_at_once > 1 and cluster is not None:
-        remedy = "leave out --jobs: a cluster does as many at once as it has workers"
-        raise DataError("processes here, or a cluster", place="--jobs, --cluster", remedy=remedy)
     left = [k for k, job in enumerate(jobs) if finished is None or not finished(job)]
-    batch = Batch(tuple(map(name, jobs)), skipped=tuple(sorted({*range(len(jobs))} - {*left})))
+    batch = Batch({}, tuple(sorted({*range(len(jobs))} - {*left})), {})
     with tqdm(total=len(jobs), initial=len(batch.skipped), desc="clips", disable=len(jobs) < 2) as progress:
 
         def done(k: int, found: Any) -> None:
@@ -84,7 +73,7 @@ def run_many(
                 found = Failed("stopped before it was done" if cluster is None else unshared)
             if isinstance(found, Failed):
                 batch.failed[k] = found
-                progress.write(f"{batch.names[k]}: {found.message}\n{found.trace}".rstrip(), file=sys.stderr)
+                progress.write(f"{name(jobs[k])}: {found.message}\n{found.trace}".rstrip(), file=sys.stderr)
                 progress.set_postfix(failed=len(batch.failed))
             else:
                 batch.results[k] = found
@@ -113,15 +102,15 @@ def run_clips(
     said = defaultdict(list)
     for k, notes in sorted(found.results.items()):
         for note in notes:
-            said[note].append(found.names[k])
+            said[note].append(clips[k][0])
     for note, names in said.items():
         print(f"note: {note} ({names[0] if len(names) == 1 else f'{len(names)} clips'})")
-    print(found.lines()[0])
+    print(found)
     if found.skipped:
         how = "" if compared else ", perhaps made with other options"
         print(f"note: clips that were finished before{how}, stay as they are; to make one again, delete what it wrote")
     if found.failed:  # why was said when it happened
-        print(f"failed: {', '.join(found.names[k] for k in sorted(found.failed))}", file=sys.stderr)
+        print(f"failed: {', '.join(clips[k][0] for k in sorted(found.failed))}", file=sys.stderr)
     return 1 if found.failed else 0
 
 
@@ -137,29 +126,25 @@ def _attempt(function: Callable[[Any], Any], job: Any) -> Any:
 
 
 def _on_processes(work: dict[int, Callable], count: int, done: Callable[[int, Any], None], apart: bool) -> None:
-    """Do all of it. Where a process is killed, its pool is lost: those that had begun go on in one process, where the
-    first without a result is the one to blame."""
-    left, killed = dict(work), Counter()
+    """Do all of it. Where a process is killed, its pool is lost: those that had begun go on one by one, where whoever
+    loses its process again is the one to blame."""
+    left = dict(work)
+
+    def ended(k: int, found: Any) -> None:
+        del left[k]
+        done(k, found)
 
     def together(keys: list[int], workers: int) -> bool:
-        def ended(i: int, found: Any) -> None:
-            del left[keys[i]]
-            done(keys[i], found)
-
         try:
-            run_jobs([work[k] for k in keys], workers, ended, apart)
+            run_jobs([work[k] for k in keys], workers, lambda i, found: ended(keys[i], found), apart)
         except BrokenProcessPool:
             return False
         return True
 
     while left and not together(list(left), min(count, len(left))):
-        begun = list(left)[:count]  # they begin in their order
-        while (suspects := [k for k in begun if k in left]) and not together(suspects, 1):
-            first = next(k for k in suspects if k in left)
-            killed[first] += 1
-            if killed[first] == LIVES:
-                del left[first]
-                done(first, Failed(f"its process was killed {LIVES} times: is there enough memory?"))
+        for k in list(left)[:count]:  # they begin in their order
+            if not together([k], 1):
+                ended(k, Failed("its process was killed twice: is there enough memory?"))
 
 
 def _on_cluster(work: dict[int, Callable[[], Any]], address: str, done: Callable[[int, Any], None]) -> None:

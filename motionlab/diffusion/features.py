@@ -10,7 +10,7 @@ Differs: stuck to the first frame's heading, not to its whole orientation, so th
 not per number (half the held-out error after the same training).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -174,6 +174,13 @@ def motion_of(numbers: Tensor, like: Motion) -> Motion:
     root, sixd, contacts = numbers.split((3, 6 * _J, _C), -1)
     rot = rotation.sixd_to_matrix(sixd.unflatten(-1, (_J, 6)))
     return Motion(like.skeleton, root, rot, like.fps, contacts, like.name)
+
+
+def restore_known(made: Motion, given: Motion, known: Tensor) -> Motion:
+    """Returns a motion with its known rotations and places (..., T, U) as they were given, without the rounding of a
+    way there and back."""
+    rot = torch.where(known[..., :_J, None, None], given.rot, made.rot)
+    return replace(made, rot=rot, root=torch.where(known[..., _J, None], given.root, made.root))
 
 
 def open_places(units: Tensor) -> Tensor:

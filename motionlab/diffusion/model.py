@@ -9,7 +9,7 @@ Differs, where asked: several frames in one token, which halves the work.
 """
 
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Self
@@ -18,10 +18,12 @@ import torch
 from torch import Tensor, nn
 
 from motionlab import checkpoint
+from motionlab.contact import with_contacts
 from motionlab.diffusion import sampling
 from motionlab.diffusion.features import Layout, Normaliser
-from motionlab.diffusion.sampling import NoiseSchedule, ddpm, noise_like
+from motionlab.diffusion.sampling import Inpainting, NoiseSchedule, ddpm, noise_like
 from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import Skeleton
 
@@ -177,6 +179,22 @@ class MotionDiffusion:
         """Draws new motions (count, T) by DDPM, on the standard body."""
         x, respaced = self.noise(count, generator), self.schedule.respaced(min(steps, len(self.schedule)))
         return self.decode(ddpm(self.denoiser, respaced, x, generator).cpu())
+
+    def inpaint(
+        self, motion: Motion, known: Tensor, generator: torch.Generator, how: Inpainting | None = None
+    ) -> Motion:
+        """Inpaints motions (B, T) with gaps: unknown numbers are sampled, the place in the world stays.
+
+        known: bool (B, T, D) or (T, D), True where known. A stuck layout takes the place and heading of the first frame
+        as given, known or not. Contacts that a motion lacks are labelled.
+        """
+        if self.layout.contacts and motion.contacts is None:
+            motion = with_contacts(motion)
+        x0, how = self.encode(motion), how or Inpainting()
+        pairs = zip(x0.split(64), known.expand(len(x0), *known.shape[-2:]).split(64), strict=True)
+        x = [sampling.inpaint(self.denoiser, self.schedule, *pair, generator, how) for pair in pairs]
+        made = replace(self.decode(torch.cat(x), motion.skeleton), name=motion.name)
+        return local_to_world(stuck_root(motion)[1], made) if self.layout.frame == "stuck" else made
 
     @torch.no_grad()
     def errors(self, motion: Motion, generator: torch.Generator) -> dict[str, float]:

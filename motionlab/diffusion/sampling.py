@@ -1,11 +1,15 @@
-"""The noising process and its reversal: DDPM steps, DDIM steps.
+"""The noising process and its reversal, DDPM steps and DDIM steps; and inpainting, where unknown parts are sampled and
+:class:`Inpainting` says how the known enter.
 
 Noising steps are counted from 0: step t has been noised t + 1 times, the thesis's t + 1. All tables are float64.
 
 A denoiser is any function (x_t (B, ...), stamps (B,)) -> x_0 estimate (B, ...). ``after`` is called as
-after(x_{t-1}, x_0 estimate, t) -> x_{t-1} behind every step, which is where known parts are put back (``inpaint``).
+after(x_{t-1}, x_0 estimate, t) -> x_{t-1} behind every step, which is where known parts are put back. To inpaint, x is
+(B, T, D); a mask m is 1 where known (the thesis's 1 - m).
 
-Source: thesis Eqs. 4.1-4.7; Ho et al. 2020; Nichol and Dhariwal 2021; Song et al. 2021 (DDIM).
+Source: thesis Eqs. 4.1-4.7; Ho et al. 2020; Nichol and Dhariwal 2021; Song et al. 2021 (DDIM). Inpainting: thesis
+4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1}), 4.2, 4.4.1; MDM (x_0 imputed); Ho et al. 2022,
+reconstruction guidance, with CondMDI's weight.
 """
 
 import math
@@ -17,6 +21,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from motionlab.baselines import nearest_known
 from motionlab.errors import ShapeError, check_shape
 
 DenoiseFunction = Callable[[Tensor, Tensor], Tensor]
@@ -140,3 +145,118 @@ def ddim(denoise: DenoiseFunction, schedule: NoiseSchedule, x: Tensor) -> Tensor
         x0, before = denoise(x, schedule.stamps[t].to(x.device).expand(len(x))), schedule.before[t]
         x = before.sqrt().to(x) * x0 + (1 - before).clamp(min=0).sqrt().to(x) * schedule.noise_of(x0, x, t)
     return x
+
+
+@dataclass(frozen=True)
+class Inpainting:
+    """How the known part enters the sampling.
+
+    steps: of the respaced process. guidance_weight: of reconstruction guidance, which imputes the known part, as MDM
+    does; 0: it is replaced (Eq. 4.10). replace_last: also in the last step, as the thesis does. mask_ramp: frames over
+    which the mask's edges rise. blend_frames: over which ``offset_decay`` fades; 0: known parts stay as they are.
+    """
+
+    steps: int = 50
+    replace_last: bool = True
+    guidance_weight: float = 0.0
+    mask_ramp: int = 0
+    blend_frames: int = 0
+
+
+def inpaint(
+    denoise: DenoiseFunction, schedule: NoiseSchedule, x0: Tensor, known: Tensor, generator: torch.Generator,
+    how: Inpainting,
+) -> Tensor:  # fmt: skip
+    """Draws samples (B, T, D) that keep x0 (B, T, D) where ``known``, bool (B, T, D) or (T, D), holds.
+
+    How exactly x0 is kept is up to ``how``; elsewhere it is never read.
+    """
+    if known.shape[-2:] != x0.shape[-2:] or known.ndim > x0.ndim:
+        raise ShapeError(f"known: expected {tuple(x0.shape[-2:])} or {tuple(x0.shape)}, got {tuple(known.shape)}")
+    seen, m, schedule = torch.where(known, x0, 0.0), known.to(x0), schedule.respaced(min(how.steps, len(schedule)))
+    if how.mask_ramp:
+        seen, m = _softened(seen, known, how.mask_ramp)
+    if how.guidance_weight:
+        inner, after = _guided(denoise, schedule, seen, m, how.guidance_weight), None
+    else:
+        inner, after = denoise, _replace(schedule, seen, m, generator, last=how.replace_last)
+
+    def estimate(x: Tensor, stamps: Tensor) -> Tensor:  # the network may have the last word (CondMDI)
+        return (inner if how.replace_last or int(stamps[0]) != int(schedule.stamps[0]) else denoise)(x, stamps)
+
+    x = ddpm(estimate, schedule, noise_like(x0, generator), generator, after=after)
+    return offset_decay(x, seen, known, how.blend_frames) if how.blend_frames else x
+
+
+def _replace(
+    schedule: NoiseSchedule, known: Tensor, m: Tensor, generator: torch.Generator, *, last: bool = True
+) -> After:
+    """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step. last: also behind the last
+    step, where it is not noised any more: exact, and the cause of the seam. m may be soft."""
+
+    def after(x: Tensor, x0: Tensor, t: int) -> Tensor:
+        if t == 0 and not last:
+            return x
+        return (1 - m) * x + m * schedule.noised(known, t - 1, noise_like(known, generator))
+
+    return after
+
+
+def _guided(
+    denoise: DenoiseFunction, schedule: NoiseSchedule, known: Tensor, m: Tensor, weight: float
+) -> DenoiseFunction:
+    """Known parts imputed; the rest of the x_0 estimate less weight sqrt(alpha_bar) / 2 times the gradient in x_t of
+    |m (x_0 estimate - known)|^2, so that it moves to where the network's own estimate agrees with what is known."""
+    level = dict(zip(schedule.stamps.tolist(), schedule.alpha_bar.tolist(), strict=True))
+
+    def better(x: Tensor, stamps: Tensor) -> Tensor:
+        with torch.enable_grad():
+            at = x.detach().requires_grad_()
+            x0 = denoise(at, stamps)
+            (slope,) = torch.autograd.grad((m * (x0 - known)).square().sum(), at)
+        a = x.new_tensor([level[int(t)] for t in stamps]).reshape(-1, *(1,) * (x.ndim - 1))
+        return (1 - m) * (x0.detach() - weight * a.sqrt() / 2 * slope) + m * known
+
+    return better
+
+
+def offset_decay(x: Tensor, known: Tensor, m: Tensor, frames: int) -> Tensor:
+    """Computes x (B, T, D) with its known numbers exact; the correction fades out over ``frames`` frames, smooth in
+    value and velocity at either end.
+
+    With e and v the offset of the nearest known frame and its change per frame, u the share of the fade that has passed
+    and n its frames (no more than a gap has): x + e (2u^3 - 3u^2 + 1) + v n (u^3 - 2u^2 + u), from both sides of a gap.
+
+    Source: inertialisation (Bollo 2018). Differs: a cubic, with no acceleration to match.
+    """
+    sure = (m >= 1).expand_as(x)
+    offset = torch.where(sure, known - x, 0.0)
+    left = _fade_from_before(offset, sure, frames)
+    right = _fade_from_before(offset.flip(-2), sure.flip(-2), frames).flip(-2)
+    return torch.where(sure, known, x + left + right)
+
+
+def _fade_from_before(offset: Tensor, sure: Tensor, frames: int) -> Tensor:
+    """What the known frame before each number adds to it (B, T, D); nothing where none is before."""
+    count = offset.shape[-2]
+    time = torch.arange(count, device=offset.device)[:, None].expand(offset.shape[-2:])
+    before, after = (at.mT for at in nearest_known(sure.mT))
+    any_before = (before <= time) & sure.any(-2, keepdim=True)
+    earlier = (before - 1).clamp(min=0)
+    e = offset.gather(-2, before)
+    v = torch.where(sure.gather(-2, earlier) & (before > 0), e - offset.gather(-2, earlier), 0.0)
+    n = torch.where(after >= time, (after - before).clamp(max=frames), frames).to(offset)
+    u = ((time - before) / n).clamp(0, 1)
+    faded = e * (2 * u**3 - 3 * u**2 + 1) + v * n * (u**3 - 2 * u**2 + u)
+    return torch.where(any_before & ~sure, faded, 0.0)
+
+
+def _softened(x: Tensor, known: Tensor, frames: int) -> tuple[Tensor, Tensor]:
+    """x (B, T, D) with the known value nearest in time at unknown numbers; and a mask whose edges in time fall outside
+    what is known: 1, ..., 1/(n+1), 0 over n frames. A column that knows nothing is 0."""
+    known = known.expand_as(x)
+    time, some = torch.arange(x.shape[-2])[:, None].expand_as(x), known.any(-2, keepdim=True)
+    before, after = (at.mT for at in nearest_known(known.mT))
+    nearest = torch.where(time - before <= after - time, before, after)
+    share = (1 - (time - nearest).abs().double() / (frames + 1)).clamp(min=0).to(x)
+    return torch.where(some, x.gather(-2, nearest), 0.0), torch.where(some, share, 0.0)

@@ -27,7 +27,7 @@ from motionlab.footage.clip import Clip, read_clip
 from motionlab.footage.scene_fit import SMALL, STATURE, SceneFit, SceneFitConfig, fit_people, seen_size
 from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25
-from motionlab.io import amass, bvh, gltf, video
+from motionlab.io import bvh, gltf, smpl, video
 from motionlab.motion import Motion, resample
 from motionlab.observation import Camera, Observation2D, project
 from motionlab.optimise import begins
@@ -90,7 +90,7 @@ def run_clip(
     """Fits the people of one clip and writes a folder: motions and report together, then the film. Returns what
     ``fit.json`` says.
 
-    Ctrl-C keeps the best so far of a clip of up to 6 s (with "rollout" of any length), and says so; of a longer one the
+    Ctrl-C keeps the best so far of a clip of up to 6 s, and says so; of a longer one the
     windows that are done are kept in the folder, and the same call goes on from there. While the film is drawn, it
     costs the film alone, and so does whatever else keeps it from being drawn; the windows of a long clip stay until
     there is one.
@@ -108,7 +108,7 @@ def run_clip(
             report how far off hidden joints may be.
         prior, pose_prior, initial, pelvis: see ``humor.pretrained.load_priors``.
         progress: show bars, or "lines": a line where a stage begins, on stderr.
-        solver: "shooting", or "rollout" for the original's schedule, which takes a clip of any length as one piece.
+        solver: "shooting", or "rollout" for the original's schedule.
 
     Raises:
         DataError: something cannot be read, used or written, or files that no fit has written are in the way, which is
@@ -191,7 +191,7 @@ def _write(
     for stem, motion, row in zip(_stems(ids), fitted.motions, record["people"], strict=True):
         bvh.save(folder / f"{stem}.bvh", motion)
         standard = retarget(replace(motion, contacts=None), proportions="standard", leg=_LEG)
-        amass.save(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
+        smpl.save_motion(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
         row["files"] = {"bvh": f"{stem}.bvh", "amass": f"{stem}.npz"}
         betas = "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand"
         says = (f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet stand on "

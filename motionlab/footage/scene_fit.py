@@ -23,9 +23,8 @@ from motionlab.baselines import interpolate
 from motionlab.files import writing
 from motionlab.humor import body_shape, testops
 from motionlab.humor.energies import UNUSED_BODY_25
+from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import Priors
-from motionlab.humor.shooting.feedback_solver import Plan
-from motionlab.humor.unknowns import window_starts
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Camera, Observation2D
 from motionlab.optimise import begins
@@ -104,7 +103,7 @@ class SceneFitConfig:
 
 
 #: The work of a fit, as near as ``Schedule.lean`` in less than half of its time (CHANGELOG); a first look.
-_PLAN = Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, two_starts=False, damping=(0.1, 0.01))
+_PLAN = Plan(8, 20, 1e-2, min_gain=0.033, stride=4, halving_after=5, damping=(0.1, 0.01))
 FULL_WORK = replace(testops.Schedule.lean(), tolerance=3e-4, guesses=True, shooting=_PLAN)
 _QUICK_PLAN = Plan(2, 12, trial_rounds=0, mode_jumps=0, stride=8, damping=(0.1, 0.01))
 QUICK_WORK = replace(testops.Schedule.quick(), steps=(2, 4, 3), guesses=True, shooting=_QUICK_PLAN)
@@ -124,8 +123,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
         return _of_height(seen, config, config.height)
     enough = (seen.confidence[..., USED] > 0).sum(-1) >= MIN_KEYPOINTS
     people, frames = enough.shape
-    whole = frames <= MAX_FRAMES or config.solver == "rollout"  # which cuts windows of its own
-    starts = (0,) if whole else window_starts(frames, WINDOW, OVERLAP)
+    whole = frames <= MAX_FRAMES
+    starts = (0,) if whole else _window_starts(frames)
     length = frames if whole else WINDOW
     camera, notes = config.camera, []
     floor = None if camera is None else "camera" if config.placed else "guess"
@@ -197,6 +196,12 @@ def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> Sc
     return replace(found, motions=motions, camera=camera, notes=(*found.notes, note), draws=draws)
 
 
+def _window_starts(frames: int) -> tuple[int, ...]:
+    """The first frames of the fewest windows that cover so many and share ``OVERLAP``."""
+    count = -(-(frames - OVERLAP) // (WINDOW - OVERLAP))
+    return tuple(round(k * (frames - WINDOW) / (count - 1)) for k in range(count))
+
+
 def _cut(seen: Observation2D, people: Sequence[int], span: slice) -> Observation2D:
     return replace(seen, keypoints=seen.keypoints[people][:, span], confidence=seen.confidence[people][:, span])
 
@@ -211,7 +216,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
     part = _cut(seen, who, span)
     begins("the camera, from the seconds that show most", config.progress)
     floor = None if config.camera is None else "guess"
-    work = QUICK_WORK if len(part.keypoints) > 1 else config.schedule
+    work = QUICK_WORK if len(part.keypoints) > 1 else config.schedule or FULL_WORK
     fitted = config.fit(part, config.camera, floor, schedule=work, solver="shooting")
     if fitted.stopped:
         raise KeyboardInterrupt
@@ -226,9 +231,7 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
 def _told(fitted: testops.Fitted) -> tuple[dict[str, Tensor], tuple[list[str], ...]]:
     """What is kept of a fit: tensors, their energies (E, P) by term; notes, why each search ended, and the terms."""
     motion, people, doubts = fitted.motion, len(fitted.betas), fitted.diagnostics
-    latent_chi2 = motion.root.new_full((people,), float("nan"))
-    if doubts is not None:
-        latent_chi2 = doubts.latent_chi2.unflatten(0, (people, -1)).mean(-1)
+    latent_chi2 = motion.root.new_full((people,), float("nan")) if doubts is None else doubts.latent_chi2
     energy = fitted.energies[max(fitted.energies)]
     tensors = {
         "root": motion.root, "rot": motion.rot, "contacts": fitted.contacts, "betas": fitted.betas.detach(),

@@ -9,12 +9,12 @@ import jinja2
 import numpy as np
 from torch import Tensor
 
+from motionlab import metrics
 from motionlab.footage.scene_fit import USED, SceneFit
 from motionlab.humor import body_shape
 from motionlab.humor.evidence import FEET_SEEN, feet_seen
 from motionlab.humor.start import above_floor
 from motionlab.humor.testops import MAX_LATENT_CHI2, MISFIT_WIDTH
-from motionlab.metrics import pose
 from motionlab.motion import runs
 from motionlab.observation import BODY_25
 from motionlab.skeleton import FEET
@@ -22,8 +22,6 @@ from motionlab.viz.palette import ROLE
 
 #: The colours of the people, in the film and here, one after the other.
 PEOPLE = ("ours", "baseline", "6d", "axis-angle", "quaternion", "synthetic", "stage2", "stage3")
-_LISTED = 40  # people in the table of who was seen
-_WIDE = 860  # pixels of the charts
 _PAGE = jinja2.Environment(
     loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True, lstrip_blocks=True
 ).get_template("scene_report.html")
@@ -52,7 +50,7 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
         "latent_chi2": latent_chi2 if np.isfinite(latent_chi2) else None,
         "doubtful": not (latent_chi2 <= MAX_LATENT_CHI2 and rms <= MISFIT_WIDTH * fitted.camera.width),
         "bounds": {"latent_chi2": MAX_LATENT_CHI2, "rms": MISFIT_WIDTH * fitted.camera.width},
-        "acceleration": float(pose.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
+        "acceleration": float(metrics.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
         "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
         "contacts_by_time": {name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
                              for n, name in enumerate(motion.skeleton.contact_names) if name in FEET},
@@ -78,7 +76,7 @@ def lines(record: Record) -> list[str]:
         f"camera {record['camera']['source']}; {_moving(record)}",
     ]
     for row in record["people"]:
-        facts = "; ".join(f"{key} {_facts(row)[key]}" for key in ("detected", "reprojection", "acceleration"))
+        facts = "; ".join(f"{key} {text}" for key, text in _facts(row).items())
         said += [
             f"person {row['id']}: in {100 * row['share']:.0f} % of the frames; {facts}",
             f"  {_doubt(row)}",
@@ -134,32 +132,15 @@ def _runs(words: Sequence[str]) -> str:
 
 def page(record: Record, poster: bytes = b"") -> str:
     """Returns the report of a record as one page, which plays ``overlay.mp4`` beside it."""
-    keypoints, footage, camera = record["keypoints"], record["footage"], record["camera"]
-    seen = f"{keypoints['detector']}, {keypoints['points']} points, {keypoints['frames']} frames"
-    film = "none: drawn on paper"
-    if footage is not None:
-        size = f"{footage['size'][0]} x {footage['size'][1]} pixels"
-        film = f"{footage['path']}: {footage['frames']} frames at {footage['fps']:g} per second, {size}"
-    pieces = f"in {record['windows']} windows" if record["windows"] > 1 else "in one piece"
-    about = {
-        "keypoints": f"{keypoints['path']}: {seen} at {keypoints['fps']:g} per second",
-        "footage": film,
-        "camera": f"{camera['source']}: focal length {camera['intrinsics'][0][0]:.0f} px, image of {camera['width']} x "
-        f"{camera['height']}; {_moving(record)}",
-        "fit": f"solver {record['solver']}{', quick' if record['quick'] else ''}, {record['frames']} frames at "
-        f"{record['fps']:g} per second {pieces}; search ended: {_runs(record['ended'])}",
-    }
-    curves = [row["pixels"]["by_time"] for row in record["people"]]
-    top = max((value for curve in curves for value in curve if value is not None), default=1.0) or 1.0
-    last = max(1, len(curves[0]) - 1)
+    values = [value for row in record["people"] for value in row["pixels"]["by_time"] if value is not None]
     people = []
-    for k, (row, curve) in enumerate(zip(record["people"], curves, strict=True)):
-        shown = {"ink": ROLE[PEOPLE[k % len(PEOPLE)]], "path": _path(curve, (_WIDE - 56) / last, 154 / top)}
-        people.append(row | shown | {"doubt": _doubt(row), "unknown": not_known(row), "facts": _facts(row)})
+    for k, row in enumerate(record["people"]):
+        said = {"doubt": _doubt(row), "unknown": not_known(row), "facts": _facts(row)}
+        people.append(row | said | {"ink": ROLE[PEOPLE[k % len(PEOPLE)]]})
     return _PAGE.render(
-        name=Path(footage["path"] if footage else keypoints["path"]).name, record=record, about=about, people=people,
-        poster=base64.b64encode(poster).decode(), listed=_LISTED, wide=_WIDE, top=top, end=last / record["fps"],
-        seconds=record["frames"] / record["fps"],
+        name=Path((record["footage"] or record["keypoints"])["path"]).name, record=record, people=people,
+        moving=_moving(record), ended=_runs(record["ended"]), poster=base64.b64encode(poster).decode(),
+        top=max(values, default=1.0) or 1.0, last=max(1, len(record["people"][0]["pixels"]["by_time"]) - 1),
         strips=[(row, name, spans) for row in people for name, spans in row["contacts_by_time"].items()],
     )  # fmt: skip
 
@@ -167,22 +148,7 @@ def page(record: Record, poster: bytes = b"") -> str:
 def _facts(row: Record) -> dict[str, str]:
     moves = "unknown" if row["acceleration"] is None else f"{row['acceleration']:.2f} m/s^2"
     return {
-        "there": ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in row["spans_s"]),
         "detected": f"{100 * row['detected']:.0f} % of the keypoints",
         "reprojection": f"{row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px median",
         "acceleration": f"{moves}, mean over joints and frames",
-        "feet": f"the lower one {round(row['feet_above_floor_cm'], 1) + 0.0:+.1f} cm from the floor (median)",
-        "bones": ", ".join(f"{name} {beta:+.1f}" for name, beta in row["bones"].items()) + " (standard deviations)",
-        "files": ", ".join(row["files"].values()),
-        "AMASS": f"{row['amass']['says']}. betas: {row['amass']['betas']}",
     }
-
-
-def _path(curve: Sequence[float | None], x: float, y: float) -> str:
-    """A curve over time as a path of SVG, with pixels for a frame and for one of its units; None is a gap."""
-    steps, pen = [], "M"
-    for frame, value in enumerate(curve):
-        if value is not None:
-            steps.append(f"{pen}{46 + x * frame:.1f} {166 - y * value:.1f}")
-        pen = "M" if value is None else "L"
-    return "".join(steps)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from motionlab.errors import ShapeError, check_shape
-from motionlab.humor.cvae import Gaussian
+from motionlab.humor.priors import Gaussian
 from motionlab.skeleton import STANDARD
 
 #: Joints of BODY_25 whose confidence counts as zero: neck and hips, which OpenPose and SMPL place differently.

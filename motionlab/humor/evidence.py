@@ -141,15 +141,10 @@ class Evidence:
         return replace(self, values=self.values[index], weight=self.weight[index], view=view)
 
     @property
-    def seen(self) -> Tensor:
-        """Computes in which frames (B, T) anything was observed."""
-        return (self.weight > 0).any(-1)
-
-    @property
     def confidence_per_joint(self) -> Tensor:
         """Computes how far each joint (B, T, 22) was observed: 1 seen, ``UNSEEN`` hidden, 0 in empty frames."""
         seen = self.weight > 0 if self.view is None else (self.weight > 0)[..., _SHOWN].any(-1)
-        return torch.where(seen, 1.0, UNSEEN) * self.seen[..., None]
+        return torch.where(seen, 1.0, UNSEEN) * (self.weight > 0).any(-1, keepdim=True)
 
     @property
     def hides_feet(self) -> Tensor:
@@ -161,13 +156,6 @@ class Evidence:
     def first_frames(self, frames: int) -> Self:
         """Returns the first frames."""
         return replace(self, values=self.values[:, :frames], weight=self.weight[:, :frames])
-
-    def windows(self, starts: Tensor, length: int) -> Self:
-        """Cuts every clip into W windows of ``length`` that begin at ``starts`` (W,): clips become B W rows."""
-        at = starts[:, None] + torch.arange(length)
-        values, weight = (x[:, at].flatten(0, 1) for x in (self.values, self.weight))
-        rows = torch.arange(len(self.values)).repeat_interleave(len(starts))
-        return replace(self, values=values, weight=weight, view=self.view and self.view.rows(rows))
 
 
 def evidence(

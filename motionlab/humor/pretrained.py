@@ -21,8 +21,7 @@ from torch import Tensor
 from motionlab import checkpoint
 from motionlab.errors import DataError, ShapeError
 from motionlab.humor import priors, state
-from motionlab.humor.cvae import Cvae, filled, finite, from_weights
-from motionlab.humor.priors import BODY_JOINTS, FIRST_STATE_SIZE, InitGmm, PosePrior, Priors
+from motionlab.humor.priors import BODY_JOINTS, Cvae, InitGmm, PosePrior, Priors, from_weights
 from motionlab.io.reading import checked_array, read_npz, reading
 
 #: The priors that ship: ``humor_real``, ``pose_prior_real``, ``init_gmm_real``, learnt from hours of real motion.
@@ -126,7 +125,7 @@ def _mixture_at_pelvis(mixture: InitGmm, pelvis: Pelvis) -> InitGmm:
 def load_pose_prior(name: str = f"pose_prior_{DEFAULT}") -> PosePrior:
     """Loads a pose prior of this project, by name or by path; DataError: none, damaged, or of something else."""
     path = checkpoint.shipped(name)
-    return filled(PosePrior(), checkpoint.load(path)[0], "not a pose prior", path, checkpoint.REMEDY)
+    return priors.filled(PosePrior(), checkpoint.load(path)[0], "not a pose prior", path, checkpoint.REMEDY)
 
 
 @cache
@@ -134,7 +133,7 @@ def load_initial(name: str = f"init_gmm_{DEFAULT}") -> InitGmm:
     """Loads a mixture over first states of this project, by name or by path; DataError: none, damaged, or other."""
     path = checkpoint.shipped(name)
     tensors, _ = checkpoint.load(path)
-    finite(tensors, path, checkpoint.REMEDY)
+    priors.finite(tensors, path, checkpoint.REMEDY)
     return _mixture_of(tensors, path)
 
 
@@ -169,8 +168,10 @@ def _mixture_of(tensors: Mapping[str, Tensor], path: Path | str) -> InitGmm:
         raise DataError(f"no {error.args[0]}", path=path, remedy=remedy) from error
     except (ShapeError, DataError) as error:
         raise DataError(f"no mixture of Gaussians: {error}", path=path, remedy=remedy) from error
-    if gmm.means.shape[1] != FIRST_STATE_SIZE:
-        raise DataError(f"expected {FIRST_STATE_SIZE} features, found {gmm.means.shape[1]}", path=path, remedy=remedy)
+    if gmm.means.shape[1] != priors.FIRST_STATE_SIZE:
+        raise DataError(
+            f"expected {priors.FIRST_STATE_SIZE} features, found {gmm.means.shape[1]}", path=path, remedy=remedy
+        )
     return gmm
 
 
@@ -202,4 +203,4 @@ def _from_vposer(found: Mapping[str, Tensor], path: Path, remedy: str) -> PosePr
     for part in ("out.weight", "out.bias"):
         if taken[part].shape[0] == 6 * BODY_JOINTS:
             taken[part] = taken[part].unflatten(0, (BODY_JOINTS, 3, 2)).transpose(1, 2).flatten(0, 2)
-    return filled(model, taken, "not VPoser's weights", path, remedy)
+    return priors.filled(model, taken, "not VPoser's weights", path, remedy)

@@ -9,7 +9,7 @@ the chain and are computed for all steps at once. ``state.apply`` is the plain f
 A steered roll-out takes u instead of z, z_t = u_t + K_t X_t, where X_t (345) is the state in its own heading frame and
 that frame's place in the world, the first rows of a homogeneous matrix: cos, -sin, x | sin, cos, y. A plain roll-out
 forgets nothing: what one z does stays done in all frames to come, and a search over z is stiff. With the gains K_t of
-``shooting.coordinates`` every later z makes up for what an earlier one changed. Any z is reached by some u, so that
+``coordinates`` every later z makes up for what an earlier one changed. Any z is reached by some u, so that
 minima stay what they are, and what comes out is an exact roll-out.
 
 Source: HuMoR (Rempe et al. 2021), ``roll_out`` of the official code; thesis 3.1.1, 3.3.1 (K-step parallel decode);
@@ -27,7 +27,7 @@ from motionlab import rotation
 from motionlab.errors import ShapeError, check_shape
 from motionlab.heading import Frame
 from motionlab.humor import compiled, state
-from motionlab.humor.cvae import Cvae, Gaussian
+from motionlab.humor.priors import Cvae, Gaussian
 from motionlab.humor.state import ADDED, CHANGES, STATE, VECTORS, globalise, heading, localise
 from motionlab.parallel import threads_for
 
@@ -312,26 +312,22 @@ def _to_world(start: Frame, local: Tensor) -> Tensor:
     return globalise(local, Frame(turn, shift))
 
 
-def sample_rollout(
-    model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None, rigid: bool = False
-) -> Rollout:
-    """Computes a roll-out with z from the prior: drawn where a generator is given, else its mean. Keeps no gradients.
-
-    first: (B, 339) states, world coordinates. rigid: after every step the bones get the lengths back that they have in
-    the first state (not in HuMoR, whose joints drift from their bones).
+def sample_rollout(model: Cvae, first: Tensor, steps: int, *, generator: torch.Generator | None = None) -> Rollout:
+    """Computes a roll-out from states (B, 339), world coordinates, with z from the prior: drawn where a generator is
+    given, else its mean. Keeps no gradients.
     """
     check_shape(first, f"B {STATE}", "first")
     with torch.no_grad(), threads_for(len(first)):
         decoder = DecoderLayers.of(model)
         step, start = Stepper(decoder), heading(first)
-        x, lengths = localise(first, start), state.bone_lengths(first)
+        x = localise(first, start)
         after, logits, zs, means, variances = [], [], [], [], []
         for _ in range(steps):
             prior = model.prior(x)
             z = prior.mean if generator is None else prior.sample(generator)
             now = step(x, [F.linear(z, w, b) for w, b in zip(decoder.z_weights, decoder.biases, strict=True)])
-            x, there = (state.with_bone_lengths(each, lengths) if rigid else each for each in (now.moved, now.after))
-            after.append(there), logits.append(now.raw[:, CHANGES:]), zs.append(z)
+            x = now.moved
+            after.append(now.after), logits.append(now.raw[:, CHANGES:]), zs.append(z)
             means.append(prior.mean), variances.append(prior.log_var)
         after, logits, zs, means, variances = (torch.stack(each, 1) for each in (after, logits, zs, means, variances))
         return Rollout(_to_world(start, after), logits, zs, Gaussian(means, variances))

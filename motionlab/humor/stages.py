@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from typing import Self
 
 import torch
@@ -19,61 +18,57 @@ from motionlab.humor import energies, state, unknowns
 from motionlab.humor.energies import SIGMA, Weights
 from motionlab.humor.evidence import Evidence
 from motionlab.humor.priors import Priors, first_state_features
-from motionlab.humor.unknowns import FIRST, Parametrisation, Posed, Rolled, Unknowns
+from motionlab.humor.unknowns import FIRST, Posed, Rolled, Unknowns
 from motionlab.optimise import BatchFit, minimise_batch
-
-_OVERLAP = 2.0  # of the weight of joint_consistency: the official 200 beside 100
 
 Terms = dict[str, Tensor]
 #: From the numbers that a search moves, by name, and the recordings that they are of, to the unknowns.
-Back = Callable[[Mapping[str, Tensor], Tensor], Unknowns]
+Back = Callable[[Mapping[str, Tensor], Tensor | slice], Unknowns]
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What does not change while a fit looks for its unknowns.
 
-    evidence: of B = G W rows. starts (W,): first frame of each window in its recording. mode: "lean" or "official".
+    evidence: of B recordings. mode: "lean" or "official".
+    pose, roll: how unknowns become bodies in stages 1 and 2, and in stage 3.
     """
 
     evidence: Evidence
     priors: Priors
     weights: Weights
     mode: str = "lean"
-    starts: tuple[int, ...] = (0,)
-    parametrisation: Parametrisation = unknowns.LEAN
+    pose: Callable[[Unknowns, Priors, Evidence], Posed] = unknowns.pose
+    roll: Callable[[Unknowns, Priors, Evidence], Rolled] = unknowns.roll
 
     def rows(self, index: Tensor) -> Self:
         """Returns the same for some recordings alone."""
-        every = index[:, None] * len(self.starts) + torch.arange(len(self.starts), device=index.device)
-        return replace(self, evidence=self.evidence.rows(every.flatten()))
+        return replace(self, evidence=self.evidence.rows(index))
 
 
 def pose_terms(problem: Problem, unknown: Unknowns, stage: int) -> Terms:
-    """Computes the weighted terms (G,) of stage 1 or 2 by name. Lean mode is smooth in stage 1 already."""
+    """Computes the weighted terms (B,) of stage 1 or 2 by name. Lean mode is smooth in stage 1 already."""
     evidence = problem.evidence
-    body = problem.parametrisation.pose(unknown, problem.priors, evidence)
+    body = problem.pose(unknown, problem.priors, evidence)
     terms = _data(body, evidence) | {
         "joints3d_smooth": energies.joints3d_smooth(body.joints),
-        "pose_prior": energies.pose_prior(unknown.latent.flatten(0, 1)),
+        "pose_prior": energies.pose_prior(unknown.latent),
         "shape_prior": energies.shape_prior(body.betas, evidence.values.shape[1]),
     }
-    return _weighted(terms, problem.weights.of(stage, listed=problem.mode == "lean"), unknown)
+    return _weighted(terms, problem.weights.of(stage, listed=problem.mode == "lean"))
 
 
 def motion_terms(problem: Problem, unknown: Unknowns, *, grown: bool = True, contacts: bool = True) -> Terms:
-    """Computes the weighted terms (G,) of stage 3 by name, over as many frames as z has transitions, and one.
+    """Computes the weighted terms (B,) of stage 3 by name, over as many frames as z has transitions, and one.
 
     grown: the first state's weight times frames / 15, as from the second sub-stage on. contacts: with those terms.
     """
-    evidence = problem.evidence.first_frames(unknown.z.shape[2] + 1)
-    rolled = problem.parametrisation.roll(unknown, problem.priors, evidence)
-    return rolled_terms(problem, unknown, rolled, grown=grown, contacts=contacts)
+    evidence = problem.evidence.first_frames(unknown.z.shape[1] + 1)
+    rolled = problem.roll(unknown, problem.priors, evidence)
+    return rolled_terms(problem, rolled, grown=grown, contacts=contacts)
 
 
-def rolled_terms(
-    problem: Problem, unknown: Unknowns, rolled: Rolled, *, grown: bool = True, contacts: bool = True
-) -> Terms:
+def rolled_terms(problem: Problem, rolled: Rolled, *, grown: bool = True, contacts: bool = True) -> Terms:
     """Computes :func:`motion_terms` of a roll-out that is there already."""
     frames = rolled.states.shape[1]
     evidence = problem.evidence.first_frames(frames)
@@ -95,11 +90,7 @@ def rolled_terms(
     if evidence.view is not None and evidence.view.free:
         still = torch.zeros_like(body.camera)
         terms["floor_reg"] = energies.floor_reg(evidence.view.floor(body.camera), evidence.view.floor(still), frames)
-    found = _weighted(terms, problem.weights.of(3, frames=frames if grown else None), unknown)
-    if len(problem.starts) > 1 and grown:
-        together = _OVERLAP * problem.weights.joint_consistency[2]
-        found["overlap"] = together * _overlap(body.joints, problem.starts)
-    return found
+    return _weighted(terms, problem.weights.of(3, frames=frames if grown else None))
 
 
 def _data(body: Posed, evidence: Evidence) -> Terms:
@@ -108,31 +99,20 @@ def _data(body: Posed, evidence: Evidence) -> Terms:
     return {"joints2d": energies.joints2d(body.observed, evidence.values, evidence.weight)}
 
 
-def _weighted(terms: Terms, weights: Mapping[str, float], unknown: Unknowns) -> Terms:
-    groups = unknown.trans.shape[:2]
-    return {n: weights[n] * terms[n].unflatten(0, groups).sum(1) for n in terms if n in weights}
-
-
-def _overlap(joints: Tensor, starts: tuple[int, ...]) -> Tensor:
-    """1/2 sum |J - J'|^2 + |dJ - dJ'|^2 over the frames that neighbouring windows share: (G,)."""
-    joints = joints.unflatten(0, (-1, len(starts)))
-    length, total = joints.shape[2], 0.0
-    for w, step in enumerate(b - a for a, b in pairwise(starts)):
-        gap = joints[:, w, step:] - joints[:, w + 1, : length - step]
-        total = total + 0.5 * (gap.square().sum((1, 2, 3)) + gap.diff(dim=1).square().sum((1, 2, 3)))
-    return total
+def _weighted(terms: Terms, weights: Mapping[str, float]) -> Terms:
+    return {n: weights[n] * terms[n] for n in terms if n in weights}
 
 
 def stage_1_and_2(problem: Problem, unknown: Unknowns, stage: int, **budget) -> tuple[Unknowns, BatchFit]:
     """Runs stage 1, a search for the root alone, or stage 2, for root, pose and shape."""
     moving = ("trans", "orient") if stage == 1 else ("trans", "orient", "latent", "betas")
-    terms = partial(pose_terms, stage=stage)
     if problem.mode != "lean":
-        return _search(terms, problem, unknown.named(), moving, **budget)
-    weights = problem.weights.of(stage, listed=True)
-    unknown = replace(unknown, orient=unknowns.reorthogonalised(unknown.orient))
-    new, back = _preconditioned(unknown, moving, problem.priors, problem.evidence, weights)
-    return _search(terms, problem, new, tuple(new), back, **budget)
+        start = _as_they_are(unknown, moving)
+    else:
+        weights = problem.weights.of(stage, listed=True)
+        unknown = replace(unknown, orient=unknowns.reorthogonalised(unknown.orient))
+        start = _preconditioned(unknown, moving, problem.priors, problem.evidence, weights)
+    return _search(partial(pose_terms, stage=stage), problem, *start, **budget)
 
 
 def stage_3(
@@ -150,39 +130,33 @@ def stage_3(
     def part(unknown: Unknowns, moving: tuple[str, ...], steps: int, **how) -> Unknowns:
         if steps <= 0 or (fits and interrupted(fits[-1])):
             return unknown
-        terms = partial(motion_terms, **how)
-        if factors is None:
-            found, fit = _search(terms, problem, unknown.named(), moving, steps=steps, **budget)
-        else:
-            new, back = preconditioned_motion(unknown, moving, factors)
-            found, fit = _search(terms, problem, new, tuple(new), back, steps=steps, **budget)
+        start = _as_they_are(unknown, moving) if factors is None else preconditioned_motion(unknown, moving, factors)
+        found, fit = _search(partial(motion_terms, **how), problem, *start, steps=steps, **budget)
         fits.append(fit)
         return found
 
-    frames, plan = unknown.z.shape[2] + 1, (min(refine[0], steps), min(refine[1], steps))
+    frames, plan = unknown.z.shape[1] + 1, (min(refine[0], steps), min(refine[1], steps))
     if frames <= short:
         return part(unknown, everything, steps), fits
-    head = part(replace(unknown, z=unknown.z[:, :, : short - 1]), everything, plan[0], grown=False)
-    unknown = replace(head, z=torch.cat((head.z, unknown.z[:, :, short - 1 :]), 2))
+    head = part(replace(unknown, z=unknown.z[:, : short - 1]), everything, plan[0], grown=False)
+    unknown = replace(head, z=torch.cat((head.z, unknown.z[:, short - 1 :]), 1))
     unknown = part(unknown, tuple(n for n in everything if n not in FIRST), plan[1] - plan[0], contacts=False)
     return part(unknown, everything, steps - plan[1]), fits
 
 
 def _search(
-    terms: Callable[[Problem, Unknowns], Terms], problem: Problem, start: Mapping[str, Tensor], moving: tuple[str, ...],
-    back: Back = lambda new, rows: Unknowns(**new), *, steps: int, inner: int, tolerance: float = 0.0,
-    progress: bool | str = False, watch: Callable[[Terms], None] | None = None,
+    terms: Callable[[Problem, Unknowns], Terms], problem: Problem, start: Mapping[str, Tensor], back: Back, *,
+    steps: int, inner: int, tolerance: float = 0.0, progress: bool | str = False,
+    watch: Callable[[Terms], None] | None = None,
 ) -> tuple[Unknowns, BatchFit]:  # fmt: skip
     """All unknowns where the sum of some terms is lowest, and the optimiser's report; each recording for itself.
 
-    start: tensors (G, ...) by name, of which ``moving`` move. back: from such tensors to the unknowns that the terms
-    are functions of. tolerance: share of its own first energy that a recording must gain in an iteration. watch: called
-    with the terms of every evaluation.
+    start: tensors (B, ...) by name, which move. back: from such tensors to the unknowns that the terms are functions
+    of. tolerance: share of its own first energy that a recording must gain in an iteration. watch: called with the
+    terms of every evaluation.
     """
-    point = {n: x.detach().clone().requires_grad_(n in moving and x.numel() > 0) for n, x in start.items()}
-    every = torch.arange(len(next(iter(point.values()))))
     with torch.no_grad():
-        first = sum(terms(problem, back(point, every)).values()).abs().nan_to_num(0.0, 0.0, 0.0)
+        first = sum(terms(problem, back(start, slice(None))).values()).abs().nan_to_num(0.0, 0.0, 0.0)
 
     def energy(at: Mapping[str, Tensor], rows: Tensor) -> Tensor:
         found = terms(problem.rows(rows), back(at, rows))
@@ -190,8 +164,8 @@ def _search(
             watch({n: x.detach() for n, x in found.items()})
         return sum(found.values())
 
-    fit = minimise_batch(energy, point, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress)
-    return back({**{n: x.detach() for n, x in point.items()}, **fit.variables}, every).detached(), fit
+    fit = minimise_batch(energy, start, steps=steps, inner=inner, tolerance_change=tolerance * first, progress=progress)
+    return back(fit.variables, slice(None)).detached(), fit
 
 
 def interrupted(fit) -> bool:
@@ -216,11 +190,17 @@ _REACH = {
 _REACH_CAMERA = (400.0, 400.0, 25.0)  # tilt, roll, rise
 
 
+def _as_they_are(unknown: Unknowns, moving: tuple[str, ...]) -> tuple[dict[str, Tensor], Back]:
+    """The unknowns that move, and the way from them to all: the official search."""
+    moved = {n: x.detach() for n, x in unknown.named().items() if n in moving and x.numel()}
+    return moved, lambda new, rows: replace(unknown.rows(rows), **new)
+
+
 def preconditioned_motion(
     unknown: Unknowns, moving: tuple[str, ...], factors: Tensor
 ) -> tuple[dict[str, Tensor], Back]:
-    """Computes what :func:`_preconditioned` does, for stage 3; factors (G, W, L - 1 or more, 48, 48)."""
-    frames, named = unknown.z.shape[2] + 1, unknown.named()
+    """Computes what :func:`_preconditioned` does, for stage 3; factors (B, T - 1 or more, 48, 48)."""
+    frames, named = unknown.z.shape[1] + 1, unknown.named()
     scale = {n: (reach * frames) ** -0.5 for n, reach in _REACH.items()}
     scale["camera"] = (frames * unknown.trans.new_tensor(_REACH_CAMERA)).rsqrt()
 
@@ -228,7 +208,7 @@ def preconditioned_motion(
         start = unknown.rows(rows)
         found = {n: getattr(start, n) + scale[n] * x for n, x in new.items() if n != "z"}
         if "z" in new:
-            found["z"] = start.z + (factors[rows, :, : frames - 1] @ new["z"][..., None])[..., 0]
+            found["z"] = start.z + (factors[rows, : frames - 1] @ new["z"][..., None])[..., 0]
         return replace(start, **found)
 
     return {n: torch.zeros_like(named[n]) for n in moving if named[n].numel()}, back
@@ -237,11 +217,11 @@ def preconditioned_motion(
 def _preconditioned(
     unknown: Unknowns, moving: tuple[str, ...], priors: Priors, evidence: Evidence, weights: dict[str, float]
 ) -> tuple[dict[str, Tensor], Back]:
-    """Computes new numbers to move, zeros at the start, and the way from them to the unknowns. unknown: of stages 1 and
-    2 with one window each, (G, 1, T, ...). moving: those that may change."""
+    """Computes new numbers to move, zeros at the start, and the way from them to the unknowns, of stages 1 and 2.
+    moving: those that may change."""
     named = unknown.named()
     names = [n for n in _OF_FRAMES if n in moving]
-    frames, sizes = unknown.trans.shape[2], [named[n].shape[-1] for n in names]
+    frames, sizes = unknown.trans.shape[1], [named[n].shape[-1] for n in names]
     data, smooth, shape = _curvature(unknown, names, priors, evidence, weights)
     prior = torch.cat([named[n].new_full((s,), 2 * weights.get("pose_prior", 0.0) * (n == "latent"))
                        for n, s in zip(names, sizes, strict=True)])  # fmt: skip
@@ -258,7 +238,7 @@ def _preconditioned(
         start = unknown.rows(rows)
         change = cosine.mT @ (inverse[rows] @ new["frames"][..., None])[..., 0]
         parts = dict(zip(names, change.split(sizes, -1), strict=True))
-        found = {n: getattr(start, n) + parts[n][:, None] for n in names}
+        found = {n: getattr(start, n) + parts[n] for n in names}
         if "betas" in new:
             found["betas"] = start.betas + scale[rows] * new["betas"]
         return replace(start, **found)
@@ -268,10 +248,10 @@ def _preconditioned(
 
 
 def _curvature(unknown: Unknowns, names, priors, evidence, weights) -> tuple[Tensor, Tensor, Tensor]:
-    """H_d and H_s (G, n, n), means over some frames, and the diagonal (G, 8) for the shape; by finite differences."""
-    groups, _, frames = unknown.trans.shape[:3]
+    """H_d and H_s (B, n, n), means over some frames, and the diagonal (B, 8) for the shape; by finite differences."""
+    groups, frames = unknown.trans.shape[:2]
     pick = torch.linspace(0, frames - 1, min(_SAMPLES, frames)).round().long()
-    some = {n: x[:, :, pick] if n in _OF_FRAMES else x for n, x in unknown.named().items()}
+    some = {n: x[:, pick] if n in _OF_FRAMES else x for n, x in unknown.named().items()}
     sizes = [some[n].shape[-1] for n in names] + [unknown.betas.shape[-1]]
     count = sum(sizes)
     shifts = dict(zip([*names, "betas"], (_STEP * torch.eye(count)).split(sizes, 1), strict=True))

@@ -25,12 +25,11 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.baselines import interpolate
-from motionlab.humor import state, unknowns
-from motionlab.humor.cvae import Cvae
+from motionlab.humor import state
 from motionlab.humor.evidence import Evidence
-from motionlab.humor.priors import Priors
+from motionlab.humor.priors import Cvae, Priors
 from motionlab.humor.rollout import infer
-from motionlab.humor.unknowns import Unknowns, from_matrix
+from motionlab.humor.unknowns import Unknowns, of_first_state
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25
 from motionlab.skeleton import BALLS, STANDARD, UPRIGHT
@@ -197,7 +196,7 @@ def above_floor(joints: Tensor) -> Tensor:
 
 
 def seated(motion: Motion) -> Motion:
-    """Returns motions (G, T) with the legs of somebody who sits: thighs level and apart, shins upright."""
+    """Returns motions (B, T) with the legs of somebody who sits: thighs level and apart, shins upright."""
     rot = motion.rot.clone()
     yaw = rotation.yaw(rot[:, :, 0])
     for side, sign in (("left", 1.0), ("right", -1.0)):
@@ -210,35 +209,28 @@ def seated(motion: Motion) -> Motion:
 
 
 def start_stage_3(
-    motion: Motion, latent: Tensor, shared: dict[str, Tensor], confidence: Tensor, priors: Priors,
-    starts: tuple[int, ...], length: int, mode: str = "lean", weight: float = 1e-3, damping: float = DAMPING_ROLLOUT,
+    motion: Motion, latent: Tensor, shared: dict[str, Tensor], confidence: Tensor, priors: Priors, mode: str = "lean",
+    weight: float = 1e-3, damping: float = DAMPING_ROLLOUT,
 ) -> tuple[Unknowns, Tensor | None]:  # fmt: skip
-    """Computes the unknowns of stage 3 from stage 2's motion, in windows; in lean mode also factors of z.
+    """Computes the unknowns of stage 3 from stage 2's motion; in lean mode also factors of z.
 
-    Factors (G, W, L - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u: L^-T of
-    (L - t) H_t + w diag(1 / sigma^2) = L L^T, with H_t the Gauss-Newton matrix of one way, as what z_t does to the
+    Factors (B, T - 1, 48, 48) make the energy round in the coordinates z = z_0 + factor u: L^-T of
+    (T - t) H_t + w diag(1 / sigma^2) = L L^T, with H_t the Gauss-Newton matrix of one way, as what z_t does to the
     frame after it stays done in all that follow.
 
     Args:
-        motion (G, T): of stage 2. latent (G, T, 32): its pose latents. shared: its betas, camera.
-        confidence (G, T, 22): how much each joint of it is to be believed, 0 to 1; used in lean mode.
-        starts, length: of the windows. weight: of the motion prior beside a square metre, w. damping: share on the way.
+        motion (B, T): of stage 2. latent (B, T, 32): its pose latents. shared: its betas, camera.
+        confidence (B, T, 22): how much each joint of it is to be believed, 0 to 1; used in lean mode.
+        weight: of the motion prior beside a square metre, w. damping: share on the way.
     """
     states = state.from_motion(motion, causal=priors.motion.causal)
-    first = state.unpack(states[:, list(starts)])
     with torch.no_grad():
         if mode == "lean":
-            aims, share = (unknowns.cut_windows(x, starts, length).flatten(0, 1) for x in (states, confidence))
-            z, curvature, sharp = _follow(priors.motion, aims, share, damping * weight)
-            z, factors = (x.unflatten(0, (-1, len(starts))) for x in (z, _factors(curvature, sharp, weight)))
+            z, curvature, sharp = _follow(priors.motion, states, confidence, damping * weight)
+            factors = _factors(curvature, sharp, weight)
         else:
-            z, factors = unknowns.cut_windows(infer(priors.motion, states)[0].mean, starts, length - 1), None
-    unknown = Unknowns(
-        trans=first["trans"], orient=from_matrix(first["root_orient"], mode), latent=latent[:, list(starts)],
-        trans_vel=first["trans_vel"], root_orient_vel=first["root_orient_vel"],
-        joints_vel=first["joints_vel"].flatten(-2), z=z, **shared,
-    )  # fmt: skip
-    return unknown, factors
+            z, factors = infer(priors.motion, states)[0].mean, None
+    return of_first_state(states[:, 0], latent[:, 0], mode, z=z, **shared), factors
 
 
 def _follow(model: Cvae, states: Tensor, confidence: Tensor, weight: float) -> tuple[Tensor, Tensor, Tensor]:

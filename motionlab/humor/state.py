@@ -5,7 +5,7 @@
 Metres, seconds, radians; world z up, floor at z = 0. ``joints`` are the network's own idea of where the joints are,
 kept beside the pose that implies them. Rotations stand transposed, row by row. So the first 141 numbers are what a
 transition adds to, the last 198 are the 22 matrices that it turns, and the first 150 are the 50 vectors that a new
-heading turns. Official weights are put into this order where they are read (``cvae.from_weights``).
+heading turns. Official weights are put into this order where they are read (``priors.from_weights``).
 
 Source: HuMoR (Rempe et al. 2021), section 3; thesis 3.1.1.
 Differs: the official order is trans, trans_vel, root_orient, root_orient_vel, pose_body, joints, joints_vel, matrices
@@ -165,25 +165,8 @@ def _moved(state, frame, positions, orientations) -> Tensor:
 
 def bone_lengths(state: Tensor) -> Tensor:
     """Computes the distances (..., 21) of the joints of states (..., 339) from their parents, metres."""
-    return _bones(state).norm(dim=-1)
-
-
-def with_bone_lengths(state: Tensor, lengths: Tensor) -> Tensor:
-    """Computes states (..., 339) whose bones point as they did and have these lengths (..., 21), the pelvis in its
-    place; nothing but the joints changes. What a network adds to joints, frame by frame, does not keep bones long."""
-    bones, own = _bones(state), SLICES["joints"]
-    bones = bones * (lengths / bones.norm(dim=-1).clamp(min=1e-6))[..., None]
-    made = state[..., None, own.start : own.start + 3] + _PATHS.to(bones) @ bones
-    return torch.cat((state[..., : own.start], made.flatten(-2), state[..., own.stop :]), -1)
-
-
-def _bones(state: Tensor) -> Tensor:
-    joints = state[..., SLICES["joints"]].unflatten(-1, SHAPES["joints"])
-    return joints[..., 1:, :] - joints[..., list(STANDARD.parents[1:]), :]
-
-
-#: (22, 21): 1 where a bone, named by its lower joint, lies between the pelvis and a joint.
-_PATHS = STANDARD.ancestors()[:, 1:].float()
+    joints = unpack(state)["joints"]
+    return (joints[..., 1:, :] - joints[..., list(STANDARD.parents[1:]), :]).norm(dim=-1)
 
 
 def apply(state: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:

@@ -5,10 +5,11 @@
 3. a first state and latents whose roll-out by the motion prior explains the observation.
 
 Source: HuMoR (Rempe et al. 2021), section 4 and its official code; thesis 3.1.2.
-Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; only stage 3 cuts a
-recording into windows; the start is found in closed form and interpolated where nothing was seen; stage 1 is smooth;
-transitions of which nothing was seen start at the prior's mean. "official" mode has the official code's unknowns, start
-and missing masks. Stage 3 has two solvers: "rollout", the original sub-stages, and in lean mode the faster "shooting".
+Differs, in "lean" mode: rotations are 6 numbers; joints come from forward kinematics alone; the start is found in
+closed form and interpolated where nothing was seen; stage 1 is smooth; transitions of which nothing was seen start at
+the prior's mean. "official" mode has the official code's unknowns, start and missing masks. Stage 3 has two solvers:
+"rollout", the original sub-stages, and in lean mode the faster "shooting". Either takes a recording whole, where the
+official code cuts windows of 60 frames; ``footage`` cuts what is longer than 6 s.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,10 +26,10 @@ from motionlab.humor import start as starts
 from motionlab.humor.body_shape import landmarks
 from motionlab.humor.energies import JOINTS, RGB, RGB_LIGHT, Weights
 from motionlab.humor.evidence import Evidence, Observation3D, evidence
+from motionlab.humor.feedback_solver import Plan, solve
 from motionlab.humor.priors import Priors
-from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.humor.stages import Problem
-from motionlab.humor.unknowns import Parametrisation, Rolled, Unknowns, stitch_windows, window_starts
+from motionlab.humor.unknowns import Rolled, Unknowns
 from motionlab.motion import FPS, Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.optimise import begins
@@ -39,30 +40,26 @@ MODES = ("lean", "official")
 SOLVERS = ("rollout", "shooting")
 _WEIGHED = 4  # rounds after which a start that sits is judged: after 2, some that stood up sat to the end
 _NAMES = ("stage 1 of 3: where they are", "stage 2 of 3: pose and size", "stage 3 of 3: motion")
-_WHOLE = 600  # frames that shooting takes at once: it keeps 3 MB of each
 #: From here on a fit is doubtful. On practice clips latent_chi2 was below 0.47 and misfit 13 pixels of 1280, or 7 cm.
 MAX_LATENT_CHI2, MISFIT_METRES, MISFIT_WIDTH = 0.5, 0.12, 1 / 64  # the last of the image's width: 20 pixels of 1280
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How much work a fit does, and how a recording is cut. Source: the official configurations.
+    """How much work a fit does. Source: the official configurations.
 
     steps: outer steps of the three stages, each up to ``inner`` iterations of L-BFGS. short: frames of stage 3's first
     sub-stage. refine: stage-3 steps at which all frames join (x0 frozen, no contact terms), and at which everything
-    moves. window, overlap: frames of stage 3's windows, and the least that neighbours share. tolerance: a recording is
-    done with a stage when an iteration gains less than this share of its own energy at the stage's start. shooting: the
-    work of that solver in stage 3, instead of short, refine, window and the third number of steps (which, at 0, still
-    leaves stage 3 out). guesses: begin stage 3 with the floor below stage 2's feet, where its height is not known; and
-    where no foot was seen let shooting try a second start, which sits.
+    moves. tolerance: a recording is done with a stage when an iteration gains less than this share of its own energy at
+    the stage's start. shooting: the work of that solver in stage 3, instead of short, refine and the third number of
+    steps (which, at 0, still leaves stage 3 out). guesses: begin stage 3 with the floor below stage 2's feet, where its
+    height is not known; and with shooting from one start, or, where no foot was seen, also from one that sits.
     """
 
     steps: tuple[int, int, int] = (30, 70, 70)
     inner: int = 20
     short: int = 15
     refine: tuple[int, int] = (30, 55)
-    window: int = 60
-    overlap: int = 10
     tolerance: float = 1e-5
     shooting: Plan = field(default_factory=Plan)
     guesses: bool = False
@@ -122,11 +119,10 @@ class Fitted:
 
     motion (G, T): of the last stage, each on its own skeleton, with contact labels. stages: after stage 1, 2, 3.
     contacts (G, T, 9): probabilities, in the order of ``STANDARD.contact_names``; zeros where no stage 3 ran.
-    z (G, W, L - 1, 48) and first (G, W, 339): latents and first states of W windows that begin at ``starts``. betas
-    (G, 8): shape in standard deviations. cameras: one per recording, as found; None for 3-D observations. energies: per
-    stage, each term weighted, (G,). results: the optimiser's reports of each stage. notes: what was assumed, left out
-    or is doubtful. diagnostics: of stage 3's windows (G W,), or None. problem, unknown: what shooting minimised, and
-    where it ended (``posterior``); None after the other solver.
+    z (G, T - 1, 48) and first (G, 339): latents and first states. betas (G, 8): shape in standard deviations. cameras:
+    one per recording, as found; None for 3-D observations. energies: per stage, each term weighted, (G,). results: the
+    optimiser's reports of each stage. notes: what was assumed, left out or is doubtful. diagnostics: of stage 3 (G,),
+    or None. problem, unknown: what shooting minimised, and where it ended (``posterior``); None after the other solver.
     """
 
     motion: Motion
@@ -138,7 +134,6 @@ class Fitted:
     cameras: list[Camera] | None
     energies: dict[int, dict[str, Tensor]]
     results: dict[int, list[object]]
-    starts: tuple[int, ...] = (0,)
     notes: tuple[str, ...] = ()
     diagnostics: FitDiagnostics | None = None
     problem: Problem | None = None
@@ -156,10 +151,9 @@ def _stopped(results: dict[int, list[object]]) -> bool:
 
 def fit(
     observation: Observation2D | Observation3D, priors: Priors, *, weights: Weights | None = None,
-    schedule: Schedule | None = None, mode: str = "lean", parametrisation: Parametrisation = unknowns.LEAN,
-    solver: str = "rollout", cameras: Sequence[Camera] | None = None, floor: str | None = None,
-    size: tuple[int, int] | None = None, progress: bool | str = False,
-    watch: Callable[[int, dict[str, Tensor]], None] | None = None,
+    schedule: Schedule | None = None, mode: str = "lean", solver: str = "rollout",
+    cameras: Sequence[Camera] | None = None, floor: str | None = None, size: tuple[int, int] | None = None,
+    progress: bool | str = False, watch: Callable[[int, dict[str, Tensor]], None] | None = None,
 ) -> Fitted:  # fmt: skip
     """Fits every recording of a batch. Ctrl-C keeps the best so far. On the observation's device, where the priors and
     the cameras have to be, too.
@@ -174,8 +168,8 @@ def fit(
             batch axis may be left out.
         weights: default ``JOINTS``, or for keypoints ``RGB_LIGHT`` in lean, ``RGB`` in official mode. schedule: default
             ``Schedule.lean()`` in lean, ``Schedule.official`` in official mode.
-        solver: of stage 3: "rollout", whose numbers most notebooks hold, or in lean mode "shooting", which is faster
-            and takes a recording whole; one of more than 600 frames goes to "rollout", in windows, and a note says so.
+        solver: of stage 3: "rollout", whose numbers most notebooks hold, for clips of a few seconds, or in lean mode
+            "shooting", which is faster and keeps 3 MB of a frame. ``footage`` cuts what is longer.
         cameras, floor, size: of keypoints, as ``evidence`` takes them.
         progress: show bars with the energy; or "lines": say which stage begins, on stderr.
         watch: called with the stage and its weighted terms (G',) of the recordings that still move, at every
@@ -196,7 +190,7 @@ def fit(
         raise DataError(what, remedy="resample the observation first")
     schedule = schedule or (Schedule.lean() if mode == "lean" else Schedule.official(keypoints=seen.view is not None))
     weights = weights or (JOINTS if seen.view is None else RGB_LIGHT if mode == "lean" else RGB)
-    problem = Problem(seen, priors, weights, mode, parametrisation=parametrisation)
+    problem = Problem(seen, priors, weights, mode)
     with threads_for(len(seen.values)):
         unknown = start_stage_1(problem)
         track = _Track(schedule, progress, watch)
@@ -212,10 +206,10 @@ def start_stage_1(problem: Problem) -> Unknowns:
     """Computes the unknowns of stage 1: the mean pose, laid onto the observation."""
     seen, priors = problem.evidence, problem.priors
     groups, frames = seen.values.shape[:2]
-    latent = seen.values.new_zeros(groups, 1, frames, 32)
+    latent = seen.values.new_zeros(groups, frames, 32)
     shape = seen.values.new_zeros(groups, 8)
     with torch.no_grad():
-        decoded = priors.pose.decode(latent[0, 0, 0])
+        decoded = priors.pose.decode(latent[0, 0])
         body = torch.cat((torch.eye(3).to(decoded)[None], decoded))
         joints, turns = fk(STANDARD, body.new_zeros(3), body)
         if seen.view is None:
@@ -228,7 +222,7 @@ def start_stage_1(problem: Problem) -> Unknowns:
             trans, turn = starts.start_facing(seen, marks)
     orient = unknowns.from_matrix(turn, problem.mode)
     camera = None if seen.view is None else seen.values.new_zeros(groups, 3)
-    return Unknowns(trans[:, None], orient[:, None], latent, betas=shape, camera=camera)
+    return Unknowns(trans, orient, latent, betas=shape, camera=camera)
 
 
 class _Track:
@@ -256,44 +250,31 @@ class _Track:
         return unknown
 
     def motion_stage(self, problem: Problem, unknown: Unknowns, solver: str) -> Fitted:
-        s, seen = self.schedule, problem.evidence
-        frames = seen.values.shape[1]
-        whole = solver == "shooting" and frames <= _WHOLE
-        length = frames if whole else min(s.window, frames)
-        cuts = (0,) if whole else window_starts(frames, s.window, s.overlap)
-        cut = replace(problem, evidence=seen.windows(torch.tensor(cuts), length), starts=cuts)
-        pull, plan, budget = problem.weights.pull, s.shooting, self._budget(3)
+        s, seen, plan, budget = self.schedule, problem.evidence, self.schedule.shooting, self._budget(3)
         begun = self._begun(problem, unknown, self.stages[2], unknown.latent, seen.confidence_per_joint)
-        rest = (problem.priors, cuts, length, problem.mode, pull)
-        if whole:
-            start, second_start = starts.start_stage_3(*begun, *rest, starts.DAMPING_SHOOTING)[0], None
-            if plan.two_starts and plan.trial_rounds:
-                second_start = starts.start_stage_3(*begun, *rest)[0]
+        if solver == "shooting":
+            start, second_start = starts.start_stage_3(*begun, damping=starts.DAMPING_SHOOTING)[0], None
+            if not s.guesses and plan.trial_rounds:
+                second_start = starts.start_stage_3(*begun)[0]
             elif s.guesses and seen.hides_feet.any():
-                plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, _WEIGHED))
-                sits = self._seated(problem, unknown, rest).named()
+                plan = replace(plan, trial_rounds=max(plan.trial_rounds, _WEIGHED))
+                sits = self._seated(problem, unknown).named()
                 who = {name: seen.hides_feet.reshape(-1, *(1,) * (x.ndim - 1)) for name, x in sits.items()}
                 second_start = Unknowns(**{n: torch.where(who[n], x, getattr(start, n)) for n, x in sits.items()})
-            rolled, self.results[3] = solve(cut, start, plan, second_start=second_start, progress=budget["progress"])
+            end, found = solve(problem, start, plan, second_start=second_start, progress=budget["progress"])
         else:
-            rolled, factors = starts.start_stage_3(*begun, *rest)
-            rolled, self.results[3] = stages.stage_3(
-                cut, rolled, factors, steps=s.steps[2], short=s.short, refine=s.refine, **budget
-            )
+            start, factors = starts.start_stage_3(*begun)
+            work = {"steps": s.steps[2], "short": s.short, "refine": s.refine}
+            end, found = stages.stage_3(problem, start, factors, **work, **budget)
+        self.results[3] = found
         with torch.no_grad():
-            self.energies[3] = stages.motion_terms(cut, rolled)
-            found = unknowns.roll(rolled, problem.priors, cut.evidence)
-        touching = energies.contact_probabilities(found.rollout.contact_logits)
-        contacts, root, rot = (
-            stitch_windows(x.unflatten(0, (-1, len(cuts))), cuts) for x in (touching, found.body.root, found.body.rot)
-        )
-        body = found.body._replace(root=root, rot=rot, betas=rolled.betas)
-        self.stages[3] = unknowns.motion_of(body, seen.fps, contacts=(contacts > 0.5).to(contacts))
-        first = found.states[:, 0].unflatten(0, (-1, len(cuts)))
-        says = diagnosed(found, cut.evidence)
-        long = (f"more than {_WHOLE} frames: stage 3 by rollout, in windows",) * (solver == "shooting" and not whole)
-        fitted = self._fitted(problem, rolled, contacts, rolled.z, first, cuts, *long, *says.sentences())
-        kept = {"problem": cut, "unknown": rolled.detached()} if whole else {}
+            self.energies[3] = stages.motion_terms(problem, end)
+            rolled = unknowns.roll(end, problem.priors, seen)
+        contacts = energies.contact_probabilities(rolled.rollout.contact_logits)
+        self.stages[3] = unknowns.motion_of(rolled.body, seen.fps, contacts=(contacts > 0.5).to(contacts))
+        says = diagnosed(rolled, seen)
+        fitted = self._fitted(problem, end, contacts, end.z, rolled.states[:, 0], *says.sentences())
+        kept = {"problem": problem, "unknown": end.detached()} if solver == "shooting" else {}
         return replace(fitted, diagnostics=says, **kept)
 
     def _begun(self, problem: Problem, unknown: Unknowns, motion: Motion, latent: Tensor, confidence: Tensor) -> tuple:
@@ -302,31 +283,31 @@ class _Track:
         if self.schedule.guesses and view is not None and view.free:
             up = torch.nn.functional.pad(-starts.above_floor(motion.positions)[:, None], (2, 0))
             motion, shared["camera"] = replace(motion, root=motion.root + up[:, None]), shared["camera"] + up
-        return motion, latent[:, 0], shared, confidence
+        return motion, latent, shared, confidence, problem.priors, problem.mode, problem.weights.pull
 
-    def _seated(self, problem: Problem, unknown: Unknowns, rest: tuple) -> Unknowns:
+    def _seated(self, problem: Problem, unknown: Unknowns) -> Unknowns:
         """The start of stage 3 of somebody who sits where stage 2 is."""
         sits, confidence = starts.seated(self.stages[2]), problem.evidence.confidence_per_joint.clone()
         confidence[..., starts.SITTING_LEGS] = 1.0
-        latent = problem.priors.pose.encode(sits.rot[:, None, :, 1:]).mean
+        latent = problem.priors.pose.encode(sits.rot[:, :, 1:]).mean
         begun = self._begun(problem, unknown, sits, latent, confidence)
-        return starts.start_stage_3(*begun, *rest, starts.DAMPING_SHOOTING)[0]
+        return starts.start_stage_3(*begun, damping=starts.DAMPING_SHOOTING)[0]
 
     def without_stage_3(self, problem: Problem, unknown: Unknowns) -> Fitted:
         one = problem.evidence.values.shape[1] < 2
         why = "interrupted" if _stopped(self.results) else "one frame has no transition" if one else "no steps for it"
         motion = self.stages[max(self.stages)]
         contacts = motion.root.new_zeros(*motion.root.shape[:2], 9)
-        first = state.from_motion(motion, causal=problem.priors.motion.causal)[:, None, 0]
-        z = contacts.new_zeros(len(contacts), 1, 0, problem.priors.motion.latent)
-        return self._fitted(problem, unknown, contacts, z, first, (0,), f"stage 3 left out: {why}")
+        first = state.from_motion(motion, causal=problem.priors.motion.causal)[:, 0]
+        z = contacts.new_zeros(len(contacts), 0, problem.priors.motion.latent)
+        return self._fitted(problem, unknown, contacts, z, first, f"stage 3 left out: {why}")
 
-    def _fitted(self, problem: Problem, unknown: Unknowns, contacts, z, first, cuts, *notes: str) -> Fitted:
+    def _fitted(self, problem: Problem, unknown: Unknowns, contacts, z, first, *notes: str) -> Fitted:
         view = problem.evidence.view
         cameras = None if view is None else view.cameras(unknown.camera)
         return Fitted(
             self.stages[max(self.stages)], self.stages, contacts, z, first, unknown.betas, cameras,
-            self.energies, self.results, cuts, (*problem.evidence.notes, *notes),
+            self.energies, self.results, (*problem.evidence.notes, *notes),
         )  # fmt: skip
 
 

@@ -11,24 +11,22 @@ import torch
 
 from motionlab import humanml
 from motionlab.errors import DataError
-from motionlab.io import amass, asf, bvh, clips, gltf, judging, points
+from motionlab.io import asf, bvh, clips, gltf, judging, points, smpl
 from motionlab.io.judging import Axes, Fps, Unit
 from motionlab.io.pickles import first_object
-from motionlab.io.points import Positions
 from motionlab.io.reading import checked_array, frame_rate, read_bytes, read_npy, reading
 from motionlab.motion import Motion
 from motionlab.rest import looks_ahead
 
 #: A key that only this layout has -> its loader.
 NPZ_LAYOUTS: dict[str, Callable] = {
-    **dict.fromkeys((*amass.POSES, *amass.PARTS), amass.load),
+    **dict.fromkeys((*smpl.POSES, *smpl.PARTS), smpl.load_motion),
     "local_or_global_rotation_xyzw": clips.load_amp,
-    "positions_cm": points.load_anidance,
 }
 
 
-def load_npz(path: str | Path, **options) -> Motion | Positions:
-    """Reads an AMASS, AMP or AniDance npz; options go to that loader."""
+def load_npz(path: str | Path, **options) -> Motion:
+    """Reads an AMASS or AMP npz; options go to that loader."""
     return _loader(load_npz, path)(path, **options)
 
 
@@ -49,7 +47,7 @@ def load_npy(
     path: str | Path, *, person: int = 0, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None
 ) -> Motion:
     """Reads a .npy: HumanML3D's joints (T, 22, 3) or 263 numbers a frame, at 20 frames per second and y up unless they
-    or the caller tell otherwise; of one that holds an object, see :func:`motionlab.io.amass.load`.
+    or the caller tell otherwise; of one that holds an object, see :func:`motionlab.io.smpl.load_motion`.
 
     Raises:
         DataError: it holds anything else.
@@ -58,7 +56,7 @@ def load_npy(
     with reading(path, "save joints (T, 22, 3) or HumanML3D's features (T, 263) with numpy.save") as at:
         array = read_npy(at, read_bytes(at), first_object)
         if not isinstance(array, np.ndarray):
-            return amass.load(path, person=person, up=up, axes=axes, fps=fps)
+            return smpl.load_motion(path, person=person, up=up, axes=axes, fps=fps)
         shape = f"T {humanml.SIZE}" if array.shape[1:] == (humanml.SIZE,) else f"T {humanml.JOINTS} 3"
         joints = torch.from_numpy(checked_array(at, array, shape, "array", 1e6))
         if joints.ndim == 2:
@@ -80,8 +78,8 @@ LOADERS = {
     ".txt": clips.load_deepmimic,
     ".json": clips.load_deepmimic,
     ".npz": load_npz,
-    ".pt": amass.load,
-    ".pkl": amass.load,
+    ".pt": smpl.load_motion,
+    ".pkl": smpl.load_motion,
     ".npy": load_npy,
     ".glb": gltf.load,
     ".gltf": gltf.load,
@@ -129,8 +127,7 @@ def load(path: str | Path, **options) -> Motion:
         raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=why_not(suffix))
     motion = guided(LOADERS[suffix], path, options, strict=True)
     if not isinstance(motion, Motion):
-        loader = _loader(LOADERS[suffix], path)
         remedy = "solve a skeleton where it was recorded, and export BVH; motionlab data FILE says what it holds, "
-        remedy += f"{loader.__module__}.{loader.__name__} reads it"
+        remedy += f"{LOADERS[suffix].__module__}.{LOADERS[suffix].__name__} reads it"
         raise DataError("holds positions without rotations", path=path, remedy=remedy)
     return motion

@@ -117,42 +117,40 @@ def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
 
 def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
     """The bones by name, "root" first, the unit of length, and whether angles are degrees."""
-    bones = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}
-    units, placed, said, section, bone, name, hung = {}, {"root"}, set(), "", None, "", []
+    sections: dict[str, list[tuple[str, str, list[str]]]] = {}  # of lines: their place, first word, and others
+    lines = []
     for key, *words in map(str.split, text_lines(at, re.sub("#.*", "", text))):
         if key[0] == ":":
-            if bone is not None:
-                raise at.error(f"bone {name} has no end: the file is truncated")
-            section, (key, *words) = key[1:].lower(), words or [""]
-        said |= {section} if key else set()
-        if section == "units":
-            units[key.lower()] = words
-        elif section == "root":
-            _tell(at, bones["root"], key, words)
-        elif section == "hierarchy" and key not in ("", "begin", "end"):
-            hung.append((at.place, key, words))
-        elif section == "bonedata" and key:
-            if bone is None and key != "begin":
-                raise at.error(f"expected begin, got {key!r}")
-            if key == "begin":
-                if bone is not None:
-                    raise at.error("begin inside a bone that has no end")
-                bone, name = _Bone(), ""
-            elif key == "end":
-                if not name or name in bones:
-                    raise at.error(f"a second bone named {name!r}" if name else "a bone without a name")
-                bones[name], bone = bone, None
-            elif key == "name":
-                name = " ".join(words)
-            else:
-                _tell(at, bone, key, words)
-    for at.place, parent, below in hung:
-        _hang(at, bones, placed, parent, below)
-    if missing := [key for key in ("units", "root", "bonedata", "hierarchy") if key not in said]:
+            lines, (key, *words) = sections.setdefault(key[1:].lower(), []), words or [""]
+        lines += [(at.place, key, words)] if key else []
+    if missing := [key for key in ("units", "root", "bonedata", "hierarchy") if not sections.get(key)]:
         raise at.error(f"no section :{', :'.join(missing)}: truncated, or no ASF")
+    bones, bone, name = {"root": _Bone(dof=["tx", "ty", "tz", "rx", "ry", "rz"])}, None, ""
+    for at.place, key, words in sections["root"]:
+        _tell(at, bones["root"], key, words)
+    for at.place, key, words in sections["bonedata"]:
+        if (key == "begin") != (bone is None):
+            raise at.error(f"expected begin, got {key!r}" if bone is None else f"bone {name} has no end")
+        if key == "begin":
+            bone, name = _Bone(), ""
+        elif key == "end":
+            if not name or name in bones:
+                raise at.error(f"a second bone named {name!r}" if name else "a bone without a name")
+            bones[name], bone = bone, None
+        elif key == "name":
+            name = " ".join(words)
+        else:
+            _tell(at, bone, key, words)
+    if bone is not None:
+        raise at.error(f"bone {name} has no end: the file is truncated")
+    placed = {"root"}
+    for at.place, parent, below in sections["hierarchy"]:
+        if parent not in ("begin", "end"):
+            _hang(at, bones, placed, parent, below)
     if lost := [name for name in bones if name not in placed]:
         raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
     at.place = "section :units"
+    units = {key.lower(): words for _, key, words in sections["units"]}
     (length,) = floats(at, units.get("length", []), 1).tolist()
     if not 1e-6 < length < 1e6 or units.get("angle") not in (["deg"], ["rad"]):
         raise at.error("expected 'length' above zero (1e-6 to 1e6) and 'angle deg' or 'angle rad'")

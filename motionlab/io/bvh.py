@@ -179,53 +179,44 @@ def _parse(at: Location, text: str, fps: Fps = None) -> tuple[list[_Joint], np.n
 def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
     """The joints; of the lines, MOTION is the last that is read."""
     joints: list[_Joint] = []
-    here, expected, expect_brace = -1, "HIERARCHY", False  # here: the joint whose braces are open
+    here, waits = -1, "HIERARCHY"  # the joint whose braces are open; the word that alone may come
     for line in lines:
-        words = line.split()
-        head, joint = words[0].upper(), joints[here] if here >= 0 else None
-        if not joints and head != expected:
-            raise at.error(f"expected {expected}, got {line[:40]!r}")
-        if expected == "HIERARCHY":
-            expected = "ROOT"
-            continue
-        if expect_brace != (head == "{"):
-            raise at.error("a joint's name must be followed by {" if expect_brace else "a { without a joint")
-        if head == "{":
-            expect_brace = False
-        elif head in ("ROOT", "JOINT", "END"):
-            if (head == "ROOT") != (not joints):
-                raise at.error("a second ROOT: one figure a file", remedy="split the file, one ROOT each")
-            if joints and joint is None:
-                raise at.error(f"{words[0]} outside the root's braces")
+        head, *words = line.split()
+        head, joint = head.upper(), joints[here] if here >= 0 else None
+        if waits and head != waits:
+            raise at.error(f"expected {waits}, got {line[:40]!r}")
+        if waits in ("HIERARCHY", "{"):
+            waits = "ROOT" if waits == "HIERARCHY" else ""
+        elif head == "ROOT" and joints:
+            raise at.error("a second ROOT: one figure a file", remedy="split the file, one ROOT each")
+        elif head in ("ROOT", "JOINT", "END") and (joint or not joints):
+            name = f"{joint.name}_end" if head == "END" else " ".join(words)
             if joint and joint.is_end:
                 raise at.error("an End Site has no children")
-            name = f"{joint.name}_end" if head == "END" else " ".join(words[1:])
             if not name or any(name == other.name for other in joints):
-                what = f"a second joint named {name!r}" if name else f"{words[0]} without a name"
+                what = f"a second joint named {name!r}" if name else f"{head} without a name"
                 raise at.error(what, remedy="give every joint its own name")
             joints.append(_Joint(name, here, at.place, is_end=head == "END"))
-            here, expect_brace = len(joints) - 1, True
-        elif head == "}":
-            if joint is None:
-                raise at.error("a } too many")
-            if joint.offset is None:
-                raise at.error(f"{joint.name} ends without an OFFSET")
-            here = joint.parent
-        elif head == "OFFSET" and joint:
-            joint.offset = floats(at, words[1:], 3).tolist()
-        elif head == "CHANNELS" and joint:
-            names, first = [word.lower() for word in words[2:]], sum(len(other.channels) for other in joints)
-            if words[1:2] != [str(len(names))]:
-                raise at.error(f"CHANNELS promises {' '.join(words[1:2])} and lists {len(names)}")
-            if not {*names} <= {*_CHANNELS} or len({*names}) != len(names):
-                raise at.error(f"channels must be different ones of {', '.join(_CHANNELS)}, got {' '.join(words[2:])}")
-            if joint.is_end or joint.channels:
-                raise at.error("an End Site has no channels" if joint.is_end else f"{joint.name} has CHANNELS twice")
-            joint.channels = {name: column for column, name in enumerate(names, first)}
+            here, waits = len(joints) - 1, "{"
         elif head == "MOTION":
             if joint:
                 raise at.error(f"the braces of {joint.name} are still open")
             return joints
+        elif head == "}" and joint:
+            if joint.offset is None:
+                raise at.error(f"{joint.name} ends without an OFFSET")
+            here = joint.parent
+        elif head == "OFFSET" and joint:
+            joint.offset = floats(at, words, 3).tolist()
+        elif head == "CHANNELS" and joint:
+            names, first = [word.lower() for word in words[1:]], sum(len(other.channels) for other in joints)
+            if words[:1] != [str(len(names))]:
+                raise at.error(f"CHANNELS promises {' '.join(words[:1])} and lists {len(names)}")
+            if not {*names} <= {*_CHANNELS} or len({*names}) != len(names):
+                raise at.error(f"channels must be different ones of {', '.join(_CHANNELS)}, got {' '.join(words[1:])}")
+            if joint.is_end or joint.channels:
+                raise at.error("an End Site has no channels" if joint.is_end else f"{joint.name} has CHANNELS twice")
+            joint.channels = {name: column for column, name in enumerate(names, first)}
         else:
             raise at.error(f"expected JOINT, End Site, OFFSET, CHANNELS or a brace, got {line[:40]!r}")
     raise at.error("the file ends before MOTION: it is truncated, or no BVH")

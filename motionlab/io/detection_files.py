@@ -46,7 +46,7 @@ def _yolo(at: Location, lines: list[tuple[int, str]]) -> Detections:
 
     def read(text: str) -> detections.Sighting:
         words = text.split(None, _MOST_WORDS)
-        values = pixels(at, [_cell(at, word) for word in words[:_MOST_WORDS]], "N")
+        values = pixels(at, [float(word) for word in words[:_MOST_WORDS]], "N")
         choices = [values[5 : 5 + k * d].reshape(k, d) for k, d in _YOLO if 0 <= len(words) - 5 - k * d <= 2]
         points = next((points for points in choices if _in_box(points, values[1:5])), None)
         if points is None:
@@ -58,13 +58,6 @@ def _yolo(at: Location, lines: list[tuple[int, str]]) -> Detections:
 
     people = dict.fromkeys(text for _, text in lines)  # a second run writes the lines again
     return detections.collect(at, "Ultralytics", [(0, people)], read)
-
-
-def _cell(at: Location, cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        raise at.error(f"{cell[:40]!r} is not a number") from None
 
 
 def _in_box(points: np.ndarray, box: np.ndarray) -> bool:
@@ -98,12 +91,14 @@ def _csv(at: Location, rows: list[tuple[int, list[str]]]) -> Detections:
     seen: dict[int, dict[object, tuple[dict, int | None]]] = {}
     for frame, (line, row) in zip(order, rows, strict=True):
         at.place = f"line {line}"
+        if frame is None:
+            raise at.error(f"{row[frame_at][:40]!r} is no frame number")
         who = tuple(row[k] for k in (id_at, person_at) if k is not None) if long else line
         new = {}, None if id_at is None else whole_number(row[id_at])
         body, _ = seen.setdefault(frame, {}).setdefault(who, new)
         for key, places in points:
             cells = (row[k] if k is not None else "" for k in places)
-            body[row[name_at] if long else key] = tuple(_cell(at, cell) if cell else None for cell in cells)
+            body[row[name_at] if long else key] = tuple(float(cell) if cell else None for cell in cells)
     frames = [(frame, [*people.values()]) for frame, people in seen.items()]
     return detections.collect_named(at, "CSV table", frames, fps=fps)
 
@@ -139,13 +134,10 @@ def _clock(
 ) -> tuple[list[int], float | None]:
     """The frame number of every row, by its own or by its time; and the frame rate by the times, s or ms."""
     order = [n if frame_at is None else whole_number(row[frame_at]) for n, (_, row) in enumerate(rows)]
-    if None in order:
-        line, row = rows[order.index(None)]
-        raise at.error(f"{row[frame_at][:40]!r} is no frame number", place=f"line {line}")
     if time_at is None:
         return order, None
     at.place = head[time_at]
-    times = checked_array(at, [_cell(at, row[time_at]) for _, row in rows], "T", largest=1e15)
+    times = checked_array(at, [float(row[time_at]) for _, row in rows], "T", largest=1e15)
     moments, where = np.unique(times, return_inverse=True)
     step = float(np.median(np.diff(moments))) if len(moments) > 1 else 0.0
     if step == 0:
@@ -161,7 +153,7 @@ def from_trc(at: Location, text: str) -> Detections:
     """Reads one person's points in pixels from a TRC, as Sports2D writes it: x, y and a z of 0; blank is not seen."""
     head, names, rows = trc_table(at, text)
     at.place = "line 3"
-    fps = frame_rate(at, _cell(at, head["DataRate"]))
+    fps = frame_rate(at, float(head["DataRate"]))
     points, order = pixels(at, rows[:, 2:], "T N"), [whole_number(number) for number in rows[:, 0].tolist()]
     points = points.reshape(len(rows), -1, 3)
     if None in order or len(rows) < float(head["NumFrames"]):
@@ -269,7 +261,7 @@ def _openpose(at: Location, document: object) -> Detections:
             raise at.error('expected an object with a list "people"', place=f'frame {n}, "people"')
     people = enumerate(frame["people"] for frame in frames)
     found = detections.collect(at, "OpenPose", people, partial(_person, at), **stated(at, frames[0]))
-    if any(seen.shape[1] in (26, 133) for seen in found.frames.values()):
+    if any(len(points) in (26, 133) for people in found.frames.values() for points, _ in people):
         found.detector, found.lowest = "RTMPose as OpenPose", _MMPOSE  # Pose2Sim's
     return found
 
@@ -280,11 +272,7 @@ def _mmpose(at: Location, document: dict | list) -> Detections:
     frames = [frames] if isinstance(frames, dict) else frames
     if not any("instances" in frame for frame in frames):
         frames = [{"instances": frames}]  # one image
-    numbers = [whole_number(frame.get("frame_id", n)) for n, frame in enumerate(frames)]
-    if None in numbers:
-        n = numbers.index(None)
-        raise at.error(f"frame_id {frames[n]['frame_id']!r} is no frame number", place=f"frame {n}")
-    people = zip(numbers, (frame["instances"] for frame in frames), strict=True)
+    people = ((whole_number(frame.get("frame_id", n)), frame["instances"]) for n, frame in enumerate(frames))
     read = partial(_person, at, about=f" (data set {meta.get('dataset_name', 'not named')})", needed=True)
     names = point_names(at, meta.get("keypoint_id2name"))
     return detections.collect(at, "MMPose", people, read, names=names, lowest=_MMPOSE)

@@ -33,7 +33,6 @@ ID = ("id", "track_id", "person_id", "track")
 MOST_FRAMES, _MOST_POINTS = 200_000, 200  # frame numbers that span more, and more points of a person, are a mistake
 _FORMATS = "OpenPose, MMPose, AlphaPose, COCO results, Ultralytics, MediaPipe, MoveNet, ViTPose, Sports2D and CSV"
 _MEDIAPIPE = 0.5  # from this score on it draws a point
-_NOBODY = np.zeros((0, 0, 3))
 Sighting = tuple[np.ndarray, "int | None"]  # points (K, 3): x, y, confidence; the file's id
 
 
@@ -126,15 +125,14 @@ def to_body_25(observation: Observation2D) -> Observation2D:
 class Detections:
     """Who was seen in which frame, as a file says it.
 
-    detector: who wrote it. frames: frame number -> people (P, K, 3): x, y, confidence. ids: frame number -> their P
-    ids, None for who has none. names: of the K points, None where the file has none. lowest: the confidence below
-    which this detector itself takes a point for not seen. fps, size (width, height): None where it does not say.
-    loose: the numbers are those of pictures, which need not be a film's.
+    detector: who wrote it. frames: frame number -> people: points (K, 3) of each, and the id, None for who has none.
+    names: of the K points, None where the file has none. lowest: the confidence below which this detector itself takes
+    a point for not seen. fps, size (width, height): None where it does not say. loose: the numbers are those of
+    pictures, which need not be a film's.
     """
 
     detector: str
-    frames: dict[int, np.ndarray]
-    ids: dict[int, list[int | None]]
+    frames: dict[int, list[Sighting]]
     names: tuple[str, ...] | None = None
     lowest: float = 0.0
     fps: float | None = None
@@ -144,7 +142,7 @@ class Detections:
 
 
 #: One frame in which nobody was seen.
-NOBODY = Detections("nobody", {0: _NOBODY}, {0: []})
+NOBODY = Detections("nobody", {0: []})
 
 
 # ------------------------------------------------------------------------------------------------------------- folders
@@ -157,7 +155,7 @@ def from_folder(at: Location, read: Callable[[Location], Detections], *suffixes:
     files = next((files for suffix in suffixes if (files := _series(at, suffix))), None)
     if files is None:
         raise at.error(f"no numbered {' or '.join(suffixes)[1:].upper().replace('.', '')} file in it")
-    frames, ids, whole = {}, {}, None
+    frames, whole = {}, None
     for number, file in sorted(files.items()):
         with reading(file, "run the detector again for this frame") as one:
             # YOLO writes a blank file of labels for an image without people
@@ -165,11 +163,11 @@ def from_folder(at: Location, read: Callable[[Location], Detections], *suffixes:
             found = NOBODY if blank else read(one)
             if len(found.frames) != 1:
                 raise one.error(f"holds {len(found.frames)} frames", place="", remedy="name this file, not its folder")
-            (frames[number],), (ids[number],) = found.frames.values(), found.ids.values()
-            whole = whole or (found if len(frames[number]) else None)
-            if len(frames[number]) and found.names != whole.names:
+            (frames[number],) = found.frames.values()
+            whole = whole or (found if frames[number] else None)
+            if frames[number] and found.names != whole.names:
                 raise one.error("names other points than the frames before", place="names")
-    return replace(whole or found, frames=frames, ids=ids)
+    return replace(whole or found, frames=frames)
 
 
 def _series(at: Location, suffix: str) -> dict[int, Path] | None:
@@ -195,23 +193,22 @@ def unknown(at: Location) -> DataError:
 
 def collect(at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable, **more) -> Detections:
     """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros."""
-    found = Detections(detector, {}, {}, **more)
+    found = Detections(detector, {}, **more)
     for number, people in frames:
         seen = []
         for k, person in enumerate(people):
             at.place = f"frame {number}, person {k}"
             seen.append(read(person))
-        if number in found.frames:
-            raise at.error("this frame is there twice", place=f"frame {number}")
+        if number is None or number in found.frames:
+            what = "this frame is there twice" if number in found.frames else f"frame {len(found.frames)} has no number"
+            raise at.error(what, place=f"frame {number}")
         counts = {len(points) for points, _ in seen if len(points)}
         if len(counts) > 1:
             raise at.error("people have different numbers of keypoints")
         if max(counts, default=0) > _MOST_POINTS:
             raise at.error(f"{max(counts)} keypoints of one person")
-        found.frames[number], found.ids[number] = _NOBODY, []
-        if counts:
-            found.frames[number] = np.stack([points if len(points) else np.zeros((*counts, 3)) for points, _ in seen])
-            found.ids[number] = [name for _, name in seen]
+        blank = np.zeros((*counts, 3)) if counts else None
+        found.frames[number] = [(points if len(points) else blank, name) for points, name in seen if counts]
     return found
 
 

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.body import BodyModel, tailored
+from motionlab.body import BodyModel, tailored, vertex_normals
 from motionlab.errors import ShapeError
 from motionlab.files import write_whole
 from motionlab.io import judging
@@ -107,8 +107,6 @@ def _of_glb(at: Location, data: bytes) -> tuple[bytes, bytes]:
         size, kind = struct.unpack_from("<I4s", data, start)
         found.setdefault(kind, data[start + 8 : start + 8 + size])
         start += 8 + size
-    if start > len(data) or JSON_CHUNK not in found:
-        raise at.error(f"its chunks {[*found]} end at byte {start} of {len(data)}", place="header")
     return found[JSON_CHUNK], found.get(BIN_CHUNK, b"")
 
 
@@ -223,13 +221,11 @@ def _animation(at: Location, content: dict, wanted: str | int | None) -> dict:
     if not every and content.get("skins") and wanted is None:
         at.notes.append("holds no animation: read as the one pose in which its nodes rest")
         return {"samplers": [], "channels": []}
-    if not every:
-        raise at.error("holds no animation", place="animations")
     names = [str(one.get("name", k)) for k, one in enumerate(every)]
     word = "0" if wanted is None else str(wanted)
     number = names.index(word) if word in names else int(word) if word.isdecimal() else -1
     if not 0 <= number < len(every):
-        raise at.error(f"no animation {word!r}: {', '.join(names)}", place="animations")
+        raise at.error(f"no animation {word!r}: it holds {', '.join(names) or 'none'}", place="animations")
     if len(every) > 1 and wanted is None:
         others = f"animation {names[0]!r}, the first of {len(every)}: {', '.join(names)}"
         at.notes.append(f"{others}; choose with animation=, or --animation")
@@ -486,7 +482,7 @@ def _mesh(file: _Buffer, name: str, body: BodyModel) -> None:
     """
     template, faces, nodes = body.template.detach().cpu().double(), body.faces.cpu(), file.content["nodes"]
     attributes = {"POSITION": file.add(template, "f4", _VERTICES, bounds=True)}
-    attributes["NORMAL"] = file.add(_normals(template, faces), "f4", _VERTICES)
+    attributes["NORMAL"] = file.add(vertex_normals(template, faces), "f4", _VERTICES)
     joints = body.weights.shape[1]
     most = body.weights.detach().cpu().double().topk(min(4, joints), dim=1)
     share, which = (torch.nn.functional.pad(x, (0, 4 - x.shape[1])) for x in most)
@@ -502,12 +498,3 @@ def _mesh(file: _Buffer, name: str, body: BodyModel) -> None:
     nodes.append({"name": f"{name} body", "mesh": len(meshes), "skin": len(file.content["skins"]) - 1})
     primitive = {"attributes": attributes, "indices": indices, "material": 0}
     meshes.append({"name": f"{name} body", "primitives": [primitive]})
-
-
-def _normals(vertices: Tensor, faces: Tensor) -> Tensor:
-    """Unit vertex normals (V, 3), area weighted; y where a vertex has no face."""
-    a, b, c = vertices[faces].unbind(1)
-    face = torch.linalg.cross(b - a, c - a, dim=-1)
-    total = torch.zeros_like(vertices).index_add_(0, faces.reshape(-1), face.repeat_interleave(3, 0))
-    length = total.norm(dim=-1, keepdim=True)
-    return torch.where(length > 0, total / length, torch.tensor([0.0, 1.0, 0.0]).to(total))

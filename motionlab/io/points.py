@@ -1,11 +1,4 @@
-"""Positions without rotations: labelled 3-D points from AniDance (npz), Captury's tables (csv), OpenSim's TRC and C3D.
-
-AniDance: 24 marker-like positions per frame, which the files name ``center, bone_0 .. bone_22``. What they are was
-worked out from 38 dances: neighbours keep their distance to some centimetres, knees bend forward and elbows backward.
-The floor drifts by tens of centimetres: good for poses relative to the centre, not for contacts or bone lengths.
-
-Captury: joint positions in space (biomech.csv) and projected into each camera (projectedNN.csv).
-"""
+"""Positions without rotations: labelled 3-D points from OpenSim's TRC and C3D."""
 
 import math
 import struct
@@ -21,28 +14,9 @@ from torch import Tensor
 
 from motionlab.errors import check_shape
 from motionlab.io import judging
-from motionlab.io.judging import Axes, Fps, Unit, axes_to_matrix, unit_named
-from motionlab.io.reading import (
-    Location,
-    check_keys,
-    checked_array,
-    floats,
-    frame_rate,
-    read_bytes,
-    read_npz,
-    read_text,
-    reading,
-)
-from motionlab.observation import Camera, Observation2D
+from motionlab.io.judging import Axes, Fps, Unit, unit_named
+from motionlab.io.reading import Location, check_keys, checked_array, frame_rate, read_bytes, read_text, reading
 
-#: Names in the file's order, as worked out above; wrist and hand are two markers at the end of the forearm.
-NAMES = (
-    "centre", "right_head", "left_head", "spine", "right_shoulder", "right_elbow", "right_forearm", "right_wrist",
-    "right_hip", "right_knee", "right_ankle", "right_heel", "right_toe", "left_shoulder", "left_elbow", "left_wrist",
-    "left_hand", "left_hip", "left_knee", "left_ankle", "left_heel", "left_toe", "left_forearm", "right_hand",
-)  # fmt: skip
-#: Columns that a group takes, by the end of its name.
-_WIDTHS = {"Position": 3, "Positions": 3, "CenterOfGravity": 3, "Angles": 4}
 #: OpenSim's way up: x forward, y up, z right, stood up to face world +y; a C3D's: x stays.
 _TRC_AXES, _C3D_AXES = judging.AXES | {"y": "zxy"}, judging.AXES | {"y": "x-zy"}
 #: Processors: Intel and DEC write the low byte first, MIPS the high one; DEC's floats are VAX's.
@@ -84,95 +58,6 @@ class Positions:
             raise KeyError(f"no point {', '.join(missing)}; points are {', '.join(self.names)}")
         pick = [self.names.index(name) for name in names]
         return replace(self, names=tuple(names), positions=self.positions[:, pick], valid=self.valid[:, pick])
-
-
-def load_anidance(path: str | Path) -> Positions:
-    """Reads one AniDance dance as 24 points in metres, z up: world point = centre + offset.
-
-    Needs the keys ``positions_cm`` (T, 24, 3), y up, every point but the first relative to the first, and ``fps``.
-
-    Raises:
-        DataError: a key is missing or holds something else.
-    """
-    with reading(path, 'save "positions_cm" (T, 24, 3) and "fps" with numpy.savez') as at:
-        arrays = read_npz(at, ("positions_cm", "fps"))
-        check_keys(at, arrays, ("positions_cm", "fps"))
-        points = torch.from_numpy(checked_array(at, arrays["positions_cm"], f"T {len(NAMES)} 3", "positions_cm")) / 100
-        points[:, 1:] += points[:, :1]
-        world = (points @ axes_to_matrix("x-zy").T).float()
-        fps = frame_rate(at, arrays["fps"], "fps")
-        return Positions(NAMES, world, torch.ones(world.shape[:2], dtype=torch.bool), fps, at.path.stem)
-
-
-def load_biomech(path: str | Path, *, fps: float) -> Positions:
-    """Reads joint positions of a Captury biomechanics table in metres, z up.
-
-    Turned half about the vertical, into the world of the C3D file of the same take (x and y change sign there):
-    a knee is then the middle of its two markers.
-
-    The columns are counted off by the groups of line 3: the lines below it name only a part of them. The
-    ``Angles`` columns are left out: some hold quaternions, some degrees, and the file does not say which.
-
-    fps: frames per second; the table does not hold it (``Framerate`` in the take's meta.txt does).
-
-    Raises:
-        DataError: not such a table, a row is too short, or a cell is not a number.
-    """
-    with reading(path, "export the biomechanics table again") as at:
-        rows = [line.rstrip("\r").split(";") for line in read_text(at).split("\n")]
-        if len(rows) < 6 or rows[1][0] != "Frames":
-            raise at.error('expected "Frames;<count>"', place="line 2")
-        starts, end = {}, 3
-        for group in filter(None, (cell.strip() for cell in rows[2])):
-            width = next((w for kind, w in _WIDTHS.items() if group.endswith(kind)), None)
-            if width is None:
-                break
-            if width == 3:
-                starts.setdefault(group.removesuffix("s").removesuffix("Position"), end)
-            end += width
-        if not starts:
-            raise at.error("no positions in it", place="line 3")
-        frames = int(rows[1][1])
-        body = rows[5 : 5 + max(frames, 0)]
-        if not body or len(body) != frames:
-            raise at.error(f"promises {frames} frames, holds {len(body)}", place="line 2")
-        table = _table(at, [row[3:end] for row in body], end - 3, 6)
-        picks = torch.tensor([*starts.values()])[:, None] - 3 + torch.arange(3)
-        world = (table[:, picks] / 1000 @ axes_to_matrix("-x-yz").T).float()
-        valid = torch.ones(world.shape[:2], dtype=torch.bool)
-        return Positions(tuple(starts), world, valid, frame_rate(at, fps, "fps"), at.path.parent.name)
-
-
-def load_projected(path: str | Path, *, camera: Camera, fps: float) -> Observation2D:
-    """Reads a Captury table of joints projected into one camera, in pixels of its image.
-
-    These are projections of a 3-D fit, not detections: confidence is 1 inside the image and 0 outside.
-
-    camera: gives the size of the image; the table measures both axes in image widths. fps: frames per second.
-
-    Raises:
-        DataError: not such a table, a row is too short, or a cell is not a number.
-    """
-    with reading(path, "export the projected table again") as at:
-        head, *rows = [line.split(",") for line in read_text(at).splitlines() if line.strip()] or [[""]]
-        names = tuple(name.strip() for name in head[1::2] if name.strip())
-        if not rows or not head[0].startswith("Timestamps") or not names or len({*names}) < len(names):
-            raise at.error('expected "Timestamps [ms]", different names in every second column, frames', place="line 1")
-        width = 1 + 2 * len(names)
-        pixels = _table(at, [row[1:width] for row in rows], width - 1, 2).unflatten(-1, (-1, 2)) * camera.width
-        inside = ((pixels >= 0) & (pixels < torch.tensor([camera.width, camera.height]))).all(-1)
-        pixels = torch.where(inside[..., None], pixels, 0.0).float()
-        name, fps = f"{at.path.parent.name} {at.path.stem}", frame_rate(at, fps, "fps")
-        return Observation2D(pixels, inside.float(), names, fps, camera, name)
-
-
-def _table(at: Location, rows: list[list[str]], width: int, first: int) -> Tensor:
-    """Numbers (T, W) float64, of single precision, of rows from line ``first`` on."""
-    table = np.empty((len(rows), width), np.float32)
-    for row, values in enumerate(rows):
-        at.place = f"line {first + row}"
-        table[row] = floats(at, values, width)
-    return torch.from_numpy(table).double()
 
 
 def load_trc(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None) -> Positions:

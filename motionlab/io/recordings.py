@@ -1,7 +1,6 @@
-"""A folder of recordings: what is in it, which loader reads it, and what its licence allows.
+"""A folder of recordings: what is in it, and which loader reads it.
 
-The folder has one sub-folder per source. The sources of the project's data set are known by name; any other
-folder is searched for files that a loader knows, so that a folder of one's own works in the same way.
+The folder has one sub-folder per source, which is searched for files that a loader knows; other files are passed over.
 """
 
 import re
@@ -14,9 +13,8 @@ from typing import NamedTuple
 
 from motionlab import io
 from motionlab.errors import DataError, MissingData
-from motionlab.io import asf, bvh, cameras, clips, keypoints, points
+from motionlab.io import keypoints
 from motionlab.io.points import Positions
-from motionlab.io.reading import reading
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
@@ -33,35 +31,12 @@ class Recording(NamedTuple):
     loader: Callable[[Path], Motion | Positions | Observation2D]
 
 
-def _captury_view(path: Path) -> Observation2D:
-    """Reads one ``projectedNN.csv`` with the camera NN of the camera.calib beside it; video 1920 wide at 50 fps."""
-    with reading(path, "keep it beside the camera.calib that lists its camera"):
-        camera = cameras.load_cameras(path.with_name("camera.calib"))[str(int(path.stem[-2:]))]
-    return points.load_projected(path, camera=camera, fps=50)
-
-
-#: Of each known source its licence, and its files by kind: the pattern within its folder, and a loader. Its SOURCE.txt
-#: has citation and format.
-SOURCES: dict[str, tuple[str, dict[str, tuple[str, Callable]]]] = {
-    "bandai_namco": ("CC BY-NC 4.0", {"bvh": ("*.bvh", bvh.load)}),
-    "anidance": ("mocap without licence: evaluate only", {"npz": ("*.npz", points.load_anidance)}),
-    "cmu_amc": ("CMU terms, credit", {"amc": ("*.amc", asf.load_beside)}),
-    "cmu_library": ("CMU terms, credit", {"bvh": ("*/*.bvh", bvh.load)}),
-    "cmu_native": ("CMU terms, credit", {"amc": ("*/*.amc", asf.load_beside)}),
-    "deepmimic": ("MIT", {"json": ("*humanoid3d*.txt", clips.load_deepmimic)}),
-    "captury_falls": ("free for research: evaluate only", {
-        "c3d": ("*/mocap.c3d", points.load_c3d), "csv": ("*/biomech.csv", partial(points.load_biomech, fps=50)),
-        "2d": ("*/projected*.csv", _captury_view)}),
-    "reactidle": ("MIT", {"bvh": ("*.bvh", bvh.load)}),
-    "animated_drawings": ("MIT", {"bvh": ("*.bvh", bvh.load)}),
-    "isaacgym_amp_cmu": ("BSD-3 + CMU terms", {"npz": ("*.npz", clips.load_amp)}),
-    "pose2sim_openpose": ("BSD-3", {
-        "openpose": ("*/cam*_json", partial(keypoints.load_person, fps=60, layout="BODY_25B")),
-        "trc": ("ref3d/*.trc", points.load_trc)}),
-    # two whose rate is not stored: 30 is presumed; the first is of a webcam
-    "3dance_openpose": ("MIT", {"openpose": ("*/", partial(keypoints.load_person, fps=30, layout="BODY_25"))}),
-    "openpose_crowd": ("MIT", {"openpose": (".", partial(keypoints.load_person, fps=30, layout="BODY_25"))}),
-}  # fmt: skip
+#: What the project's own keypoints do not say of themselves; 30 frames per second are presumed.
+_SAID = {
+    "pose2sim_openpose": {"fps": 60, "layout": "BODY_25B"},
+    "3dance_openpose": {"fps": 30},
+    "openpose_crowd": {"fps": 30},
+}
 
 
 @dataclass(frozen=True)
@@ -80,7 +55,6 @@ class Row:
     fps: tuple[float, float]
     points: tuple[int, int]
     seen: float
-    licence: str
     unread: tuple[DataError | MissingData, ...] = ()
     guessed: tuple[str, ...] = ()
 
@@ -111,8 +85,8 @@ def passed_over(folder: str | Path) -> list[str]:
             if not {path, path.parent} & used:
                 kinds.setdefault(path.suffix.lower(), []).append(path.name)
         for suffix, names in kinds.items():
-            why = "no recording of this source" if name in SOURCES else io.why_not(suffix)
-            found.append(f"{name}: {len(names)} {suffix or 'files without ending'}, such as {names[0]}: {why}")
+            what = f"{len(names)} {suffix or 'files without ending'}, such as {names[0]}"
+            found.append(f"{name}: {what}: {io.why_not(suffix)}")
     return found
 
 
@@ -139,9 +113,9 @@ def inventory(
         _, frames, rates, points, *_ = zip(*read, strict=True) if read else ((0,),) * 4
         minutes = sum(t / fps for _, t, fps, *_ in read) / 60
         seen = sum(share * t for _, t, _, _, share, _ in read) / max(sum(frames), 1)
-        spans, licence = ((min(each), max(each)) for each in (rates, points)), SOURCES.get(name, ("not known",))[0]
+        spans = ((min(each), max(each)) for each in (rates, points))
         guessed = guesses((path, notes) for path, *_, notes in read)
-        rows.append(Row(name, kind, len(read), minutes, *spans, seen, licence, tuple(unread), guessed))
+        rows.append(Row(name, kind, len(read), minutes, *spans, seen, tuple(unread), guessed))
     return rows
 
 
@@ -186,22 +160,17 @@ def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterato
 
 
 def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Iterator[tuple[str, Path, Callable]]:
-    if name in SOURCES:
-        for kind, (pattern, loader) in SOURCES[name][1].items():
-            for path in [place] if pattern == "." else sorted(place.glob(pattern)):
-                yield kind, path, loader
-        return
     views = set()
     for path in _below(place, flat):
         suffix, head = path.suffix.lower(), b""
         if suffix in _TEXTS:  # told by their beginnings
-            head = b'"Frames"'  # of one that cannot be opened, its loader says so
+            head = b'{"Frames"'  # of one that cannot be opened, its loader says so
             with suppress(OSError), path.open("rb") as file:
                 head = file.read(4096)
         if b'"people"' in head and path.parent not in views:
             views.add(path.parent)
-            yield "openpose", path.parent, partial(keypoints.load_person, fps=video_fps)
-        elif suffix in io.LOADERS and (suffix not in _TEXTS or b'"Frames"' in head):
+            yield "openpose", path.parent, partial(keypoints.load_person, **_SAID.get(name, {"fps": video_fps}))
+        elif suffix in io.LOADERS and (suffix not in _TEXTS or (b'"Frames"' in head and b"{" in head[:9])):
             yield suffix[1:], path, io.LOADERS[suffix]
 
 

@@ -5,5 +5,5 @@ recipes        what is trained in minutes, from which data, and the recipe that 
 training_loop  the loop of all of them: resumable to the bit
 completer_training, denoiser_training, chain_training
                a network each
-model_card     how good they are on people nobody trained on
+model_card     the table of the models that ship
 """

@@ -33,7 +33,7 @@ from motionlab import rotation
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError
 from motionlab.humor import body_shape, state
-from motionlab.humor.cvae import Cvae, Gaussian, kl
+from motionlab.humor.priors import Cvae, Gaussian, kl
 from motionlab.humor.state import DELTA_SLICES, ONWARD, SHAPES, SLICES, STATE, globalise, heading, localise, unpack
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, fk
@@ -102,7 +102,7 @@ class ChainTraining(TrainingRun):
     """A training run of the transition prior by chains; ``averaged`` is the model as it is shipped, frozen. start: the
     model to begin from; else z begins as the principal components of the change (:func:`begun_linear`)."""
 
-    data_name, least = "examples", 0.01
+    least = 0.01
     reads = staticmethod(lambda content: ChainRecipe(**content))
 
     def __init__(self, recipe: ChainRecipe, windows: Windows, start: Cvae | None = None) -> None:

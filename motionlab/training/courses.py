@@ -1,5 +1,5 @@
-"""``motionlab train NAME``: trains for days, at the lowest priority, until somebody stops it; and ``train small`` and
-``features`` (``recipes``), which end.
+"""``motionlab train NAME``: trains for days, at the lowest priority, until somebody stops it; and ``train small``
+(``recipes``), which ends.
 
 ``--more`` goes on from the state that is kept in the cache, or else from the weights that ship. Now and then the
 averaged weights are judged on the validation people; only better ones are written. After a whole schedule the next one
@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -19,26 +20,23 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from motionlab import checkpoint, corpus, splits
+from motionlab import bench, checkpoint, corpus, splits
 from motionlab.baselines import Noise, denoised
-from motionlab.bench import cases
-from motionlab.bench.cases import PersonWindows, by_person, person_windows
-from motionlab.bench.judge import CASES, FRAMES, judged
+from motionlab.bench import CASES, FRAMES, PersonWindows, by_person, judged, person_windows
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
-from motionlab.diffusion.encoder import EncoderRecipe
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError
-from motionlab.humor.cvae import Cvae, from_weights, official_weights
-from motionlab.humor.quality import quality_row
+from motionlab.humor.priors import Cvae, from_weights, official_weights
+from motionlab.motion import Motion
 from motionlab.training import recipes
 from motionlab.training.chain_training import ChainRecipe, ChainTraining
 from motionlab.training.completer_training import CompleterTraining
 from motionlab.training.denoiser_training import DenoiserTraining
-from motionlab.training.model_card import person_states
+from motionlab.training.quality import quality_row
 from motionlab.training.training_loop import TrainingRun, fast_halves
 
 _EACH = 12  # windows of each validation person
@@ -73,6 +71,16 @@ def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) ->
         people=([t.person for t in takes] + [splits.SYNTHETIC] * len(made)) * times,
     )  # fmt: skip
     return windows, found.part("val")
+
+
+def person_states(takes: Sequence[Take], most: int) -> dict[str, tuple[Tensor, Tensor]]:
+    """Returns what a prior is judged on: states (W, 61, 339), their velocities of the past, and contacts (W, 61, 9) of
+    each person, at most so many windows."""
+    people: dict[str, list[Motion]] = {}
+    for take in takes:
+        people.setdefault(take.person, []).append(take.motion)
+    found = {who: splits.state_windows(motions, most=most) for who, motions in people.items()}
+    return {who: windows for who, windows in found.items() if len(windows[0])}
 
 
 class Course:
@@ -148,7 +156,7 @@ def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
         noise = Noise.of(degrees, cm)
         rough = with_contacts(denoised(noise.on(motion, torch.Generator().manual_seed(0)), noise))
         made = model.complete(rough, nothing, tremble=noise.turn)
-        mine, alone = (float(by_person(cases.error_cm(m, motion, nothing), whose).mean()) for m in (made, rough))
+        mine, alone = (float(by_person(bench.error_cm(m, motion, nothing), whose).mean()) for m in (made, rough))
         title = f"noise of {degrees:g} degrees, {cm:g} cm"
         row |= {f"{title}, cm": mine, f"{title}, smoother alone, cm": alone}
         left.append(mine)
@@ -235,7 +243,6 @@ def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500, sc
     Raises:
         DataError: ``out`` is of another kind of model.
     """
-    _give_way()
     best, there, behind, kept = math.inf, None, 0, _kept(course.name, out)
     if out.with_suffix(".safetensors").exists():
         there, behind = course.load(Path(out)), checkpoint.read_recipe(out).get("step", 0)
@@ -271,14 +278,6 @@ def _kept(name: str, out: Path) -> Path:
     folder = corpus.cache_folder().with_name("training")
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f"{name}-{where}.partial.pt"
-
-
-def _give_way() -> None:
-    """The lowest priority; of a session that it leads (``setsid``) also against other sessions."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(19)
-        if os.getsid(0) == os.getpid():
-            Path("/proc/self/autogroup").write_text("19", encoding="ascii")  # of Linux, whose nice ends at a session
 
 
 def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
@@ -320,13 +319,12 @@ def run(options: argparse.Namespace) -> int:
         recipes.make_pose_prior(data, out, seed=options.seed, steps=options.steps or recipes.STEPS)
         recipes.make_init_gmm(data, out, seed=options.seed)
         return 0
-    kind, recipe = COURSES.get(name, (None, EncoderRecipe()))
+    kind, recipe = COURSES[name]
     recipe = replace(recipe, seed=options.seed, steps=options.steps or recipe.steps)
-    if kind is None:
-        recipes.make_encoder(options.data, out or checkpoint.SHIPPED / "features_real", recipe)
-        return 0
     try:
         course, every = kind(name, recipe, options.data), min(2500, -(-recipe.steps // 8))
+        with contextlib.suppress(OSError, AttributeError):  # some systems know no priority
+            os.nice(19)
         go_on(course, out or checkpoint.SHIPPED / name, more=options.more, every=every)
     except KeyboardInterrupt:
         print("stopped; the same command with --more goes on")

@@ -1,5 +1,4 @@
-"""Trains and writes the small checkpoints that ship: pose prior, initial-state mixture, and the autoencoder in whose
-latent features generated motion is judged (``diffusion.encoder``).
+"""Trains and writes the small checkpoints that ship: pose prior and initial-state mixture.
 
 Source: VPoser (Pavlakos et al. 2019); HuMoR (Rempe et al. 2021), section 4.2.
 Differs: ``MIXTURE_RIDGE`` on the diagonals of our mixture is more than the official 1e-6. Two places and three
@@ -19,12 +18,9 @@ from torch import Tensor
 
 from data_synth import corpus as synthetic
 from motionlab import checkpoint, corpus, rotation, splits
-from motionlab.diffusion import encoder
-from motionlab.diffusion.windows import Windows, gather, on_standard
-from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.errors import DataError, check_shape
 from motionlab.humor import priors, state
-from motionlab.humor.cvae import Gaussian, kl
-from motionlab.humor.priors import InitGmm, PosePrior
+from motionlab.humor.priors import Gaussian, InitGmm, PosePrior, kl
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD, fk
 from motionlab.training.chain_training import random_body
@@ -144,71 +140,6 @@ def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> None:
     checkpoint.save(out / "init_gmm_real", gmm.tensors(), recipe)
 
 
-def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRecipe) -> None:
-    """Trains and writes the features that generated motion is judged in (``diffusion.encoder``).
-
-    folder: of recordings. Trained on the training people, watched on validation people.
-    """
-    train, val = real_motions(folder)[:2]
-    windows, held = (
-        gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, val)
-    )
-    held = held.evenly(256)
-    features, curve = train_encoder(windows, recipe, held, progress=True)
-    about = {
-        "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
-        "command": f"python -m motionlab train features --steps {recipe.steps} --seed {recipe.seed} --data FOLDER",
-        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
-        "corpus": asdict(synthetic.Recipe()), "windows": windows.digest, "torch": torch.__version__,
-        "share of variance missed, held out": {k: round(v, 4) for k, v in features.reconstruction_error(held).items()},
-        "curve": curve,
-    }  # fmt: skip
-    encoder.save_encoder(out, features, about)
-
-
-class _EncoderRun(TrainingRun):
-    """Trains an autoencoder on windows. Every group weighs the same in the loss, or the few numbers that say whether a
-    foot slides would drown."""
-
-    clip, warm_up, least = math.inf, 0, 0.0
-
-    def __init__(self, recipe: encoder.EncoderRecipe, windows: Windows) -> None:
-        generator, self.windows = torch.Generator().manual_seed(recipe.seed), windows
-        network = seeded(recipe.seed, lambda: encoder.MotionEncoder(recipe))
-        network.mean, network.scale = _moments(encoder.signals(windows.draw(min(2048, 16 * recipe.batch), generator)))
-        sizes = torch.tensor([*encoder.FEATURE_GROUPS.values()])
-        self.weight = (1 / (sizes * len(sizes))).repeat_interleave(sizes)
-        optimiser = torch.optim.Adam(network.parameters(), recipe.lr)
-        super().__init__(recipe, windows.digest, generator, network, optimiser)
-
-    def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
-        _, missed = self.model.missed(self.windows.draw(self.recipe.batch, self.generator))
-        return (missed * self.weight).sum(-1).mean(), {}
-
-
-def train_encoder(
-    windows: Windows, recipe: encoder.EncoderRecipe, held: Motion | None = None, *, progress: bool = False
-) -> tuple[encoder.MotionEncoder, list[dict]]:
-    """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
-    if windows.length != recipe.frames:
-        raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
-    every, judge = max(1, recipe.steps // 20), None if held is None else lambda x: x.reconstruction_error(held)
-    run = _EncoderRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
-    made = run.averaged
-    made.network.half().float()  # its weights as they are stored
-    latent = made(windows.draw(2048, run.generator)).float()
-    made.centre, made.spread = latent.mean(0), latent.std(0).clamp(min=1e-3)
-    return made, [{name: round(value, 4) for name, value in row.items()} for row in run.curve]
-
-
-def _moments(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean of each column and one deviation per group, of rows (N, T, 94)."""
-    flat = x.flatten(0, 1)
-    mean = flat.mean(0)
-    parts = (flat - mean).split(list(encoder.FEATURE_GROUPS.values()), 1)
-    return mean, torch.cat([part.square().mean().sqrt().clamp(min=1e-3).expand(part.shape[1]) for part in parts])
-
-
 def _joints_of(rot: Tensor) -> Tensor:
     """Joints (..., 22, 3) of the standard body, pelvis in the origin, for local rotations (..., 21, 3, 3)."""
     still = torch.eye(3).to(rot).expand(*rot.shape[:-3], 1, 3, 3)
@@ -284,11 +215,8 @@ def train_pose_prior(
     Returns:
         the frozen model, and (step, reconstruction, KL) a hundred times.
     Raises:
-        DataError: no poses, or numbers that are not finite.
+        DataError: numbers that are not finite.
     """
-    check_shape(rot, "N 21 3 3", "rot")
-    if len(rot) < 2 or not rot.isfinite().all():
-        raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
     odds = torch.ones(len(rot)) if weight is None else weight
     seen = torch.ones(rot.shape[:2], dtype=torch.bool) if seen is None else seen
     run = _PosePriorRun(steps, batch, rot, seen, odds, generator)

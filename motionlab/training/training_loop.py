@@ -8,8 +8,7 @@ Source: Polyak and Juditsky 1992, averaged weights, here with a moving average t
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
@@ -56,8 +55,6 @@ class TrainingRun(ABC):
     extra: what else is saved, by name.
     """
 
-    #: What the run is trained on, as errors and saved runs call it.
-    data_name: ClassVar[str] = "windows"
     #: Reads the recipe from ``asdict``'s content.
     reads: ClassVar[Callable[[dict], Any]]
     give_up = 1
@@ -74,7 +71,6 @@ class TrainingRun(ABC):
         self.curve: list[dict] = []
         self.best: dict | None = None
         self.step = self.skipped = self.in_a_row = self.earlier = 0
-        self._whole()
 
     @abstractmethod
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
@@ -113,15 +109,14 @@ class TrainingRun(ABC):
         judge: measures of the averaged model, of which the first chooses ``best`` (less is better), every
         ``judge_every`` steps (a multiple of ``every``) and at the last one.
 
-        Ctrl-C keeps what was reached (between weights and their average: what was written last) and raises on.
+        Ctrl-C, as a kill, leaves what was saved last.
 
         Raises:
             DataError: ``give_up`` batches in a row have no finite gradient.
         """
         steps = self.recipe.steps
         last = min(steps, until or steps)
-        bar = tqdm(total=steps, initial=self.step, disable=not progress, unit="step")
-        try:
+        with tqdm(total=steps, initial=self.step, disable=not progress, unit="step") as bar:
             while self.step < last:
                 row = self.advance()
                 bar.update()
@@ -130,17 +125,10 @@ class TrainingRun(ABC):
                 if judge and (self.step % judge_every == 0 or self.step == last):
                     row |= self._judged(judge)
                 self.curve.append({"step": self.earlier + self.step, **row})
-                if not bar.disable:
+                if progress:
                     tqdm.write(f"{self.step}: " + ", ".join(f"{name} {value:.3g}" for name, value in row.items()))
                 if keep:
                     self.save(keep)
-        except KeyboardInterrupt:
-            if keep and not self._torn:
-                self.generator.set_state(self._drawn_from)
-                self.save(keep)
-            raise
-        finally:
-            bar.close()
         return self
 
     def advance(self) -> dict[str, float]:
@@ -156,7 +144,6 @@ class TrainingRun(ABC):
                 for name, value in self.model.state_dict().items():
                     average = self.average[name]
                     average.lerp_(value, 1 - keep) if value.is_floating_point() else average.copy_(value)
-        self._whole()
         row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()} if used else {}
         return row | ({"skipped": self.skipped} if self.give_up > 1 else {})
 
@@ -165,7 +152,6 @@ class TrainingRun(ABC):
         self.optimiser.zero_grad()
         loss.backward()
         norm = nn.utils.clip_grad_norm_(self.model.parameters(), self.clip)
-        self._torn = True
         if norm.isfinite():
             self.optimiser.step()
             self.in_a_row = 0
@@ -176,10 +162,6 @@ class TrainingRun(ABC):
         what = f"the {'gradient' if loss.isfinite() else 'loss'} is not finite"
         what += f", {self.give_up} batches in a row" if self.give_up > 1 else ""
         raise DataError(what, place=f"step {self.step}", remedy="lower the learning rate")
-
-    def _whole(self) -> None:
-        """Weights, average and generator belong together: this is where an interrupted step goes back to."""
-        self._drawn_from, self._torn = self.generator.get_state(), False
 
     def _judged(self, judge: Measure) -> dict[str, float]:
         row = judge(self.averaged)
@@ -194,7 +176,7 @@ class TrainingRun(ABC):
         path = Path(path)
         part = path.with_name(f".{path.name}.part")
         content = {
-            "recipe": asdict(self.recipe), self.data_name: self.digest, "step": self.step, "curve": self.curve,
+            "recipe": asdict(self.recipe), "windows": self.digest, "step": self.step, "curve": self.curve,
             "model": self.model.state_dict(), "average": self.average, "best": self.best,
             "optimiser": self.optimiser.state_dict(), "generator": self.generator.get_state(),
             "skipped": (self.skipped, self.in_a_row), "earlier": self.earlier,
@@ -209,13 +191,11 @@ class TrainingRun(ABC):
         Raises:
             DataError: the file is missing, damaged, or was trained on other data.
         """
-        with _reading(path):
+        try:
             found = torch.load(path, map_location="cpu", weights_only=True)
-            recipe = cls.reads(found["recipe"])
-        if found.get(cls.data_name) != data.digest:
-            raise DataError(f"trained on other {cls.data_name}", path=path, remedy=AFRESH)
-        run = cls(recipe, data)
-        with _reading(path):
+            if found["windows"] != data.digest:
+                raise DataError("trained on other windows", path=path, remedy=AFRESH)
+            run = cls(cls.reads(found["recipe"]), data)
             run.model.load_state_dict(found["model"])
             for name, value in found["average"].items():
                 run.average[name].copy_(value)
@@ -223,16 +203,10 @@ class TrainingRun(ABC):
             run.generator.set_state(found["generator"])
             run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
             run.skipped, run.in_a_row = found["skipped"]
-            run.earlier = found.get("earlier", 0)
+            run.earlier = found["earlier"]
             run.extra = {name: found[name] for name in run.extra}
-            run._whole()
+        except DataError:
+            raise
+        except Exception as error:  # whatever it is, the file is at fault
+            raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error
         return run
-
-
-@contextmanager
-def _reading(path: Path | str) -> Iterator[None]:
-    """Whatever goes wrong inside is a DataError that names the file."""
-    try:
-        yield
-    except Exception as error:
-        raise DataError(f"not a saved run ({type(error).__name__})", path=path, remedy=AFRESH) from error

@@ -6,12 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 import pyvista as pv
+import torch
 from matplotlib.colors import to_rgb
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 from vtkmodules.vtkCommonCore import vtkInformation
 from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
+from motionlab.body import vertex_normals
 from motionlab.errors import DataError, ShapeError
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
@@ -40,13 +42,11 @@ def single(motion: Motion) -> Motion:
         ShapeError: a batch of motions, several bodies, or no frames. DataError: a frame that is not finite.
     """
     name = motion.name or "motion"
-    if motion.root.ndim != 2:
-        batch = tuple(motion.root.shape[:-2])
-        raise ShapeError(f"{name}: expected one clip (T, J), got a batch of {batch}; take one with motion.clip(i)")
+    if motion.root.ndim != 2 or motion.positions.ndim != 3:
+        got = f"a batch of root {tuple(motion.root.shape)}, offsets {tuple(motion.skeleton.offsets.shape)}"
+        raise ShapeError(f"{name}: expected one clip (T, J) of one body, got {got}; take one with motion.clip(i)")
     if motion.frames == 0:
         raise ShapeError(f"{name}: no frames to show")
-    if motion.positions.ndim != 3:
-        raise ShapeError(f"{name}: expected the offsets of one body, got {tuple(motion.skeleton.offsets.shape)}")
     bad = ~motion.positions.isfinite().flatten(1).all(1)
     if bad.any():
         place = f"frame {int(bad.nonzero()[0])}"
@@ -58,23 +58,17 @@ def single(motion: Motion) -> Motion:
 class Figure:
     """Solids in the frames of their joints.
 
-    vertices, normals (V, 3): metres, in the frame of joint[v]. faces (F, 3). colours (V, 3) uint8.
+    vertices (V, 3): metres, in the frame of joint[v]. faces (F, 3). colours (V, 3) uint8.
     """
 
     vertices: np.ndarray
-    normals: np.ndarray
     faces: np.ndarray
     joint: np.ndarray
     colours: np.ndarray
 
-    def pose(self, positions: np.ndarray, orientations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes world vertices and normals (V, 3) for joint positions (J, 3) and orientations (J, 3, 3).
-
-        x = R_joint v + p_joint
-        """
-        turn = orientations[self.joint]
-        vertices, normals = (np.einsum("vij,vj->vi", turn, x) for x in (self.vertices, self.normals))
-        return vertices + positions[self.joint], normals
+    def pose(self, positions: np.ndarray, orientations: np.ndarray) -> np.ndarray:
+        """Computes world vertices (V, 3) for joint positions (J, 3) and orientations (J, 3, 3): R_joint v + p_joint."""
+        return np.einsum("vij,vj->vi", orientations[self.joint], self.vertices) + positions[self.joint]
 
 
 def _lathe(start, end, along, radius, widen=1.0):
@@ -86,18 +80,13 @@ def _lathe(start, end, along, radius, widen=1.0):
     side /= np.linalg.norm(side)
     angle = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
     ring = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(axis, side)
-    slope_r, slope_s = np.gradient(radius), np.gradient(along)
     vertices = start + along[:, None, None] * axis + radius[:, None, None] * ring
-    normals = slope_s[:, None, None] * ring - slope_r[:, None, None] * axis
-    normals[0], normals[-1] = -axis, axis
     middle = (start + end)[0] / 2
     vertices[..., 0] = middle + (vertices[..., 0] - middle) * widen
-    normals[..., 0] /= widen
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
     k, i = np.meshgrid(np.arange(len(along) - 1), np.arange(_SIDES), indexing="ij")
     a, b = k * _SIDES + i, k * _SIDES + (i + 1) % _SIDES
     faces = np.stack((a, b, a + _SIDES, b, b + _SIDES, a + _SIDES), -1).reshape(-1, 3)
-    return vertices.reshape(-1, 3), normals.reshape(-1, 3), faces
+    return vertices.reshape(-1, 3), faces
 
 
 def _limb(start, end, r0: float, r1: float, bulge: float = 0.0, widen: float = 1.0):
@@ -110,12 +99,10 @@ def _limb(start, end, r0: float, r1: float, bulge: float = 0.0, widen: float = 1
 
 
 def _ellipsoid(centre, radii):
-    """An ellipsoid with its axes along the frame's: vertices, normals, faces."""
+    """An ellipsoid with its axes along the frame's: vertices, faces."""
     turn = np.linspace(0, np.pi, 17)
-    v, n, faces = _lathe((0, 0, 0), (0, 1, 0), -np.cos(turn), np.sin(turn))
-    radii = np.asarray(radii, float)
-    n = v / radii
-    return v * radii + np.asarray(centre), n / np.linalg.norm(n, axis=-1, keepdims=True), faces
+    vertices, faces = _lathe((0, 0, 0), (0, 1, 0), -np.cos(turn), np.sin(turn))
+    return vertices * np.asarray(radii) + np.asarray(centre), faces
 
 
 def _mannequin(skeleton: Skeleton, offsets: np.ndarray):
@@ -179,17 +166,17 @@ def build(skeleton: Skeleton, base: str | tuple) -> Figure:
     mannequin = skeleton.names == STANDARD.names
     parts = list((_mannequin if mannequin else _any_body)(skeleton, offsets))
     joints, where, solids = zip(*parts or [(0, "middle", _ellipsoid((0, 0, 0), (0.05, 0.05, 0.05)))], strict=True)
-    counts = [len(v) for v, _, _ in solids]
+    counts = [len(v) for v, _ in solids]
     joint, colours = np.repeat(joints, counts), np.repeat([tones[side] for side in where], counts, axis=0)
-    vertices, normals = (np.concatenate([solid[k] for solid in solids]) for k in (0, 1))
+    vertices = np.concatenate([v for v, _ in solids])
     if mannequin:  # a light visor: which way the head looks
         head = joint == skeleton.index("head")
         local = (vertices - (vertices[head].max(0) + vertices[head].min(0)) / 2) / np.ptp(vertices[head], axis=0) * 2
         face = np.clip((local[:, 2] - 0.45) / 0.3, 0, 1) * np.clip((0.75 - np.abs(local[:, 1])) / 0.3, 0, 1) * head
         colours += 0.75 * face[:, None] * (1 - colours)
     first = np.cumsum([0, *counts[:-1]])
-    faces = np.concatenate([f + i for i, (_, _, f) in zip(first, solids, strict=True)])
-    return Figure(vertices, normals, faces, joint, (255 * colours).round().astype(np.uint8))
+    faces = np.concatenate([f + i for i, (_, f) in zip(first, solids, strict=True)])
+    return Figure(vertices, faces, joint, (255 * colours).round().astype(np.uint8))
 
 
 def array(x: Tensor) -> np.ndarray:
@@ -197,25 +184,21 @@ def array(x: Tensor) -> np.ndarray:
     return x.detach().double().cpu().numpy()
 
 
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Computes unit normals (V, 3): the area-weighted mean of the faces around each vertex."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    face = np.cross(b - a, c - a)
-    at = faces.ravel()
-    normals = np.stack([np.bincount(at, np.repeat(face[:, k], 3), len(vertices)) for k in range(3)], -1)
-    return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-20)
-
-
-def surface(points: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> pv.PolyData:
-    """Builds a mesh that keeps the given normals when its points move in place."""
+def surface(points: np.ndarray, faces: np.ndarray) -> pv.PolyData:
+    """Builds a mesh with normals."""
     mesh = pv.PolyData.from_regular_faces(np.array(points, float), np.asarray(faces))
-    mesh.point_data.active_normals = np.array(normals, float)
+    mesh.point_data.active_normals = _normals(mesh)
     return mesh
 
 
-def move_surface(mesh: pv.PolyData, points: np.ndarray, normals: np.ndarray) -> None:
+def _normals(mesh: pv.PolyData) -> np.ndarray:
+    return vertex_normals(torch.as_tensor(np.array(mesh.points)), torch.as_tensor(mesh.regular_faces)).numpy()
+
+
+def move_surface(mesh: pv.PolyData, points: np.ndarray) -> None:
     """Moves a mesh in place: no new actor, no new topology."""
-    mesh.points[:], mesh.point_data.active_normals[:] = points, normals
+    mesh.points[:] = points
+    mesh.point_data.active_normals[:] = _normals(mesh)
     mesh.GetPoints().GetData().Modified()
     mesh.GetPointData().GetNormals().Modified()
     mesh.Modified()
@@ -268,19 +251,17 @@ def add_words(plotter: pv.Plotter, text: str, place: str, size: float):
 
 def floor_tiles(centre: np.ndarray, radius: float) -> pv.PolyData:
     """Builds a checkerboard of 0.5 m tiles on the world's grid that fades into the paper, colours in "paint"."""
-    low = np.floor((np.asarray(centre[:2]) - radius) / _TILE).astype(int)
-    step = _TILE / 2  # two cells per tile: a smoother fade
-    cell = np.indices([2 * int(np.ceil(2 * radius / _TILE)) + 2] * 2).reshape(2, -1).T
-    corner = low * _TILE + cell * step
-    points = np.full((len(corner), 4, 3), _FLOOR_Z)
-    points[..., :2] = corner[:, None] + np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * step
-    odd = (low + cell // 2).sum(1, keepdims=True) % 2
-    away = np.linalg.norm(corner + step / 2 - np.asarray(centre[:2]), axis=-1, keepdims=True) / radius
+    low, across = np.floor((np.asarray(centre) - radius) / _TILE), int(np.ceil(2 * radius / _TILE)) + 1
+    middle, cells = (low + across / 2) * _TILE, 2 * across  # two cells per tile: a smoother fade
+    side = {"i_size": across * _TILE, "j_size": across * _TILE, "i_resolution": cells, "j_resolution": cells}
+    mesh = pv.Plane(center=(*middle, _FLOOR_Z), direction=(0, 0, 1), **side)
+    at = mesh.cell_centers().points[:, :2]
+    odd = np.floor(at / _TILE).sum(1, keepdims=True) % 2
+    away = np.linalg.norm(at - np.asarray(centre), axis=-1, keepdims=True) / radius
     fade = np.clip((away - 0.35) / 0.65, 0, 1)
     fade = fade * fade * (3 - 2 * fade)
     tile = np.where(odd, blend(TILE, "white", 0.75), to_rgb(TILE))
     rgb = (1 - fade) * tile + fade * np.array(to_rgb(PAPER))
-    mesh = pv.PolyData.from_regular_faces(points.reshape(-1, 3), np.arange(4 * len(corner)).reshape(-1, 4))
     mesh.cell_data["paint"] = (255 * rgb).round().astype(np.uint8)
     return mesh
 

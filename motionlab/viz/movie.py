@@ -29,7 +29,6 @@ from motionlab.viz.scene import Scene
 Mesh = tuple[Tensor, Tensor]  # vertices (1, V, 3), faces (F, 3)
 _WOOD, _GHOST = "#b9a88f", (0.35, 0.35, 0.35)
 _DRAFT = 5  # pictures of a film that is only drawn to see that it draws
-_HANDLE = (0.835, 0.369, 0.0)  # vermillion: seen beside every role
 _ARMS_LEGS = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (
     ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"),
     ("ankle", "big_toe"), ("big_toe", "small_toe"), ("eye", "ear"))]  # fmt: skip
@@ -225,28 +224,6 @@ def strip(
                     scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
             rows.append(scene.floor().image())
     return np.concatenate(rows)
-
-
-def pose_row(
-    poses: Mapping[str, Motion | None], targets: Tensor, which: Tensor, roles: Mapping[str, str], *,
-    body: BodyModel | None = None, ghost: Motion | None = None, width: int = 190, height: int = 300,
-    azimuth: float = 35.0,
-) -> np.ndarray:  # fmt: skip
-    """Draws a panel per label: a pose (1,) or nothing, a ghost in every other panel than its own, and handles (22,) as
-    balls at targets (22, 3): (H, W, 3)."""
-    with Scene((width * len(poses), height), panels=tuple(poses), azimuth=azimuth, elevation=8.0) as scene:
-        scene.floor()
-        for panel, (label, pose) in enumerate(poses.items()):
-            if pose is not None:
-                _add(scene, pose, roles.get(label, "ours"), body, None if pose is ghost else ghost, panel=panel)
-            if which.any():
-                scene.points(targets[which].numpy(), _HANDLE, radius=0.055, panel=panel)
-        return scene.image()
-
-
-def stack_pictures(rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Stacks pictures of one width below each other."""
-    return np.concatenate(list(rows))
 
 
 def overlay(observation: Observation2D, picture, frame: int, role="stage2", width: float = 4.0) -> np.ndarray:

@@ -126,7 +126,7 @@ class Scene(contextlib.AbstractContextManager):
         """Adds a figure with volume, its left side light and its right side dark; options as of :meth:`body`."""
         figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
 
-        def shape(now: Motion, index: int) -> tuple[np.ndarray, np.ndarray]:
+        def shape(now: Motion, index: int) -> np.ndarray:
             return figure.pose(*(mannequin.array(whole[index]) for whole in now.world))
 
         show = partial(mannequin.add_surface, paint=figure.colours, opacity=opacity)
@@ -174,8 +174,8 @@ class Scene(contextlib.AbstractContextManager):
         drawn = (first, motion)
         if self._left is None:
             self._left = viewpoint.left_of(motion.cut(first, first + 1))
-        points, normals = shape(motion, first)
-        mesh = mannequin.surface(points, faces, normals)
+        points = shape(motion, first)
+        mesh = mannequin.surface(points, faces)
         shade = Shadow(plotter, points, faces, shadow) if shadow else None
         actors = [show(plotter, mesh), *([shade.actor] if shade else [])]
 
@@ -187,8 +187,8 @@ class Scene(contextlib.AbstractContextManager):
                 actor.SetVisibility(bool(shown[index]))
             if (index, now) != drawn:
                 drawn = (index, now)
-                points, normals = shape(now, index)
-                mannequin.move_surface(mesh, points, normals)
+                points = shape(now, index)
+                mannequin.move_surface(mesh, points)
                 if shade:
                     shade.move(points)
 
@@ -334,9 +334,8 @@ class Scene(contextlib.AbstractContextManager):
 
 
 @lru_cache(maxsize=16)  # a film draws a frame of several people twice: over the footage and from the side
-def _skin(body: BodyModel, motion: Motion, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) of a frame and their normals."""
+def _skin(body: BodyModel, motion: Motion, index: int) -> np.ndarray:
+    """Vertices (V, 3) of a frame."""
     with torch.no_grad():
         now = motion.cut(index, index + 1)
-        skin = mannequin.array(lbs(tailored(body, now.skeleton), now.skeleton, now.root, now.rot)[0])
-    return skin, mannequin.vertex_normals(skin, body.faces.cpu().numpy())
+        return mannequin.array(lbs(tailored(body, now.skeleton), now.skeleton, now.root, now.rot)[0])

@@ -21,7 +21,7 @@ _HIGH, _WIDE = np.tan(np.radians((14.0, 17.0)))  # half the view at most: a long
 
 @dataclass(frozen=True, eq=False)
 class Framing:
-    """Where the eye of each panel stands; ``tracks`` (T, 3) with their rates where it follows, else empty.
+    """Where the eye of each panel stands; ``tracks`` (T, 3) with their rates where it follows, else (1, 3) of zeros.
 
     floors: centre (2,) and radius of the piece of floor under each panel.
     """
@@ -35,8 +35,6 @@ class Framing:
 
     def target(self, panel: int, seconds: float) -> np.ndarray:
         """Returns what the eye of a panel looks at (3,) at a time, if no hand has turned it."""
-        if not self.tracks:
-            return self.targets[panel]
         track, fps = self.tracks[panel]
         return self.targets[panel] + track[int(np.clip(round(seconds * fps), 0, len(track) - 1))]
 
@@ -63,13 +61,10 @@ class Framing:
 
     def sees(self, eye: pv.Camera, points: np.ndarray) -> bool:
         """Says whether any of the points (N, 3) lies in the picture of an eye."""
-        ahead = np.subtract(eye.focal_point, eye.position)
-        ahead /= np.linalg.norm(ahead)
-        right = np.cross(ahead, eye.up)
-        right /= np.linalg.norm(right)
-        x, y, depth = np.stack((right, np.cross(right, ahead), ahead)) @ (points - eye.position).T
-        reach = _half_angle(self.aspect) * depth
-        return bool(((np.abs(x) < self.aspect * reach) & (np.abs(y) < reach)).any())
+        planes = np.zeros(24)
+        eye.GetFrustumPlanes(self.aspect, planes)
+        inward, offset = planes.reshape(6, 4)[:, :3], planes[3::4]
+        return bool((points @ inward.T + offset > 0).all(1).any())
 
 
 def choose_framing(
@@ -90,7 +85,7 @@ def choose_framing(
     azimuth = good_azimuth(moving[0][0][:, 0], left, aspect) if azimuth is None else azimuth
     a, e = np.radians((azimuth, elevation))  # from +x towards +y; above the floor
     towards = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)])
-    tracks, local = [], paths
+    tracks, local = [(np.zeros((1, 3)), 1.0)] * len(seen), paths
     if follow:
         tracks = [(_steady_track(path[:, 0], fps), fps) for path, fps in moving]
         along = zip(paths, tracks, strict=True)

@@ -28,7 +28,7 @@ from torch import Tensor
 from motionlab import checkpoint, viz
 from motionlab.errors import DataError
 from motionlab.io import load as io_load
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 from motionlab.motion import FPS, Motion, resample
 from motionlab.retarget import retarget
 from suite import findings, ledger, staleness
@@ -179,7 +179,7 @@ class Lab:
         Args:
             samples: one number per independent unit (clip, event, vertex), in the unit of the test.
             source: "synthetic" or the recording set; one finding per test and source.
-            statistic: as in :func:`motionlab.intervals.interval`; also applied to ``baseline``.
+            statistic: as in :func:`motionlab.metrics.interval`; also applied to ``baseline``.
         """
         rule, name = self.criterion(test), f"{test}/{source}"
         rival = [] if baseline is None else baseline

@@ -24,8 +24,7 @@ from motionlab import rotation
 from motionlab.footage import scene_fit
 from motionlab.humor import pretrained, testops
 from motionlab.humor.testops import Schedule
-from motionlab.metrics.intervals import interval
-from motionlab.metrics.pose import joint_errors
+from motionlab.metrics import interval, joint_errors
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 

@@ -19,12 +19,11 @@ from pathlib import Path
 
 import torch
 
-from motionlab import baselines, io, splits
+from motionlab import baselines, io, metrics, splits
 from motionlab.animate import filling
 from motionlab.animate.corrections import Rig
 from motionlab.errors import DataError
-from motionlab.metrics import intervals
-from motionlab.metrics.pose import joint_errors
+from motionlab.metrics import joint_errors
 from motionlab.motion import Motion, resample
 from motionlab.rigs import find_joints
 
@@ -138,8 +137,8 @@ def report(found: dict) -> None:
             print(f"{kind} {gap} frames; default {usual}; joint error, cm")
             for method in [m for m in METHODS if (kind, gap, m) in error]:
                 mine = by_person(error[kind, gap, method])
-                mean, low, high = intervals.interval(mine, "mean", generator)
-                less = f"; less {usual}: {intervals.paired(mine, best, generator)}" if method != usual else ""
+                mean, low, high = metrics.interval(mine, "mean", generator)
+                less = f"; less {usual}: {metrics.paired(mine, best, generator)}" if method != usual else ""
                 way, truth = (
                     torch.tensor([x for some in slid[kind, gap, who].values() for x in some])
                     for who in (method, "original")

@@ -14,7 +14,7 @@ from data_synth.actions import ACTIONS
 from data_synth.subjects import SUBJECTS
 from motionlab import __main__
 from motionlab.footage import fit, scene_fit, scene_report
-from motionlab.io import amass, bvh, gltf
+from motionlab.io import bvh, gltf, smpl
 from motionlab.observation import BODY_25, look_at, project
 from tests.interop.asking import apart, ask, blender, needs_python
 from tests.interop.test_interop_amass import PELVIS, write_body
@@ -83,7 +83,7 @@ def test_ffprobe_counts_the_frames_of_the_film(scene):
 def test_aitviewer_puts_the_joints_where_the_amass_file_has_them(scene, tmp_path):
     """Its ``trans`` is the pelvis: a reader that adds SMPL's J_0 shows all of it moved by that, as the report says."""
     write_body(tmp_path)
-    ours = amass.load(scene / "motion.npz")
+    ours = smpl.load_motion(scene / "motion.npz")
     said = ask("aitviewer_reads.py", scene / "motion.npz", tmp_path, tmp_path / "joints.npz", 15).stdout
     assert "FPS 30.0" in said and "neutral" in said
     with np.load(tmp_path / "joints.npz") as found:

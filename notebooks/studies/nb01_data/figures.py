@@ -7,9 +7,8 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from motionlab.corpus import Take
-from motionlab.metrics.generation import DESCRIPTION_UNITS
 from motionlab.viz.palette import INK, PAPER, ROLE
-from studies.nb01_data.sources_compared import Windows
+from studies.nb01_data.sources_compared import DESCRIPTION_UNITS, Windows
 from studies.shared.plots import canvas
 
 _PARTS = {"train": "observation", "val": "baseline", "test": "ours"}

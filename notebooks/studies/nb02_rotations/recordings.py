@@ -7,11 +7,11 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.io.points import Positions
 from motionlab.io.recordings import recordings
 from motionlab.motion import FPS, resample
 from motionlab.retarget import retarget
 from motionlab.splits import person_of, subsample
+from studies.shared import captury
 
 #: Sources with joint rotations. CMU's people come once: ``cmu_amc`` only adds trials that the library lacks.
 SOURCES = ("cmu_library", "cmu_amc", "bandai_namco", "deepmimic", "reactidle", "animated_drawings")
@@ -39,18 +39,17 @@ def roots(
             found.setdefault(person_of(source, path), {}).setdefault(path.stem, (path, load))
     chosen = {who: subsample(list(files.values()), each) for who, files in found.items()}
     if (Path(folder) / FALLS).is_dir():
-        files = [(path, load) for _, path, load in recordings(folder, FALLS) if path.suffix == ".csv"]
-        chosen[FALLS] = subsample([f for f in files if f[0].name == "biomech.csv"], each)
+        files = sorted((Path(folder) / FALLS).glob("*/biomech.csv"))
+        chosen[FALLS] = subsample([(path, None) for path in files], each)
     return {who: tuple(_root(*file) for file in chosen[who]) for who in subsample(sorted(chosen), people)}
 
 
 @lru_cache(maxsize=4096)
 def _root(path: Path, load) -> Tensor:
-    found = load(path)
-    if not isinstance(found, Positions):
-        return resample(retarget(found).motion, FPS).rot[:, 0]
-    left, right, neck = found.select(_TRUNK).positions.unbind(1)
+    if load is not None:
+        return resample(retarget(load(path)).motion, FPS).rot[:, 0]
+    left, right, neck = captury.joints(path, _TRUNK).unbind(1)
     turns = rotation.sixd_to_matrix(torch.cat((left - right, neck - (left + right) / 2), dim=-1))
-    at = torch.arange(int((len(turns) - 1) / found.fps * FPS) + 1) * (found.fps / FPS)  # at 30 frames per second
+    at = torch.arange(int((len(turns) - 1) / captury.FPS * FPS) + 1) * (captury.FPS / FPS)  # at 30 frames per second
     low = at.floor().long().clamp(max=len(turns) - 2)
     return rotation.slerp(turns[low], turns[low + 1], (at - low).to(turns))

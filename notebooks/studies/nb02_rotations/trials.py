@@ -15,7 +15,7 @@ from torch import Tensor
 
 from data_synth import clips, corpus
 from motionlab import rotation
-from motionlab.bench.cases import by_person
+from motionlab.bench import by_person
 from motionlab.motion import FPS, Motion, resample
 from motionlab.skeleton import UPRIGHT
 from studies.nb02_rotations import representations as rep

@@ -92,11 +92,14 @@ def sweep(
     rows = []
     for threshold in thresholds:
         pruned = skinning.prune(body, threshold)
-        clean_mean, clean_most = skinning.displacement(clean, skinning.prune(clean, threshold), motion)
+        moved, harmless = (
+            1000 * skinning.displacement(*both, motion)
+            for both in ((body, pruned), (clean, skinning.prune(clean, threshold)))
+        )
         rows.append({
             "threshold": threshold, "leak": leak_percent(pruned, motion.cut(0, 1)),
             "left": float((pruned.weights[planted] > 0).double().mean()),
-            "max_mm": 1000 * skinning.displacement(body, pruned, motion)[1],
-            "clean_mean_mm": 1000 * clean_mean, "clean_max_mm": 1000 * clean_most,
+            "max_mm": float(moved.max()),
+            "clean_mean_mm": float(harmless.double().mean()), "clean_max_mm": float(harmless.max()),
         })  # fmt: skip
     return rows

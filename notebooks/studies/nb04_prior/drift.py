@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from motionlab.bench.cases import by_person
-from motionlab.humor import evidence, quality, state, testops
-from motionlab.humor.cvae import Cvae
+from motionlab.bench import by_person
+from motionlab.humor import evidence, state, testops
 from motionlab.humor.energies import JOINTS, KEYPOINTS
-from motionlab.humor.priors import Priors
+from motionlab.humor.priors import Cvae, Priors
 from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
-from motionlab.metrics.gait import tilt_and_bend
+from motionlab.metrics import tilt_and_bend
 from motionlab.motion import Motion
+from motionlab.training import quality
 
 HIDDEN_BELOW = 0.9  # metres: the height of the table behind which legs are hidden
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 
 Row = Mapping[str, float]
 

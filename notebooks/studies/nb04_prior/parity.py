@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.humor import pretrained, rollout, state
-from motionlab.humor.cvae import Cvae, Gaussian, from_weights, kl, official_weights
+from motionlab.humor.priors import Cvae, Gaussian, from_weights, kl, official_weights
 from motionlab.humor.state import OFFICIAL_SLICES
 from motionlab.motion import velocity
 from studies.official import rollout as official_rollout

@@ -14,14 +14,18 @@ from data_synth import scenes
 from motionlab import corpus, splits
 from motionlab.corpus import Take
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae
-from motionlab.metrics.gait import SEATED, tilt_and_bend
-from motionlab.motion import Motion
-from motionlab.training import model_card
+from motionlab.humor.priors import Cvae
+from motionlab.humor.rollout import sample_rollout
+from motionlab.metrics import SEATED, tilt_and_bend
+from motionlab.motion import FPS, Motion
+from motionlab.training.courses import person_states
+from motionlab.training.quality import quality_row
 from studies.shared.clips import whole
 
 FRAMES = 62  # two seconds, and a frame before them from which the first velocity is taken
 DESCENT = 0.2  # metres that a pelvis sinks in two seconds of going down
+_MOST = 24  # windows of two seconds of each person
+_WALKING = 0.5  # m/s: who is faster over a whole window walks
 _STRAIGHT = 40.0  # degrees: knees that bend less are those of somebody who stands
 _SITS = re.compile(r"\bsit(s|ting)?\b(?!.?up)", re.IGNORECASE)
 _NOT = re.compile(r"motorcycle|kneel", re.IGNORECASE)  # mimed saddles; scenes in which this person may be who kneels
@@ -129,15 +133,37 @@ def starts(takes: Sequence[Take], strangers: Clips, own: Motion | None = None) -
 def judged_rows(
     models_by_name: Mapping[str, Cvae], takes: Sequence[Take], strangers: Clips, seed: int
 ) -> dict[tuple[str, str], dict[str, dict[str, float]]]:
-    """Computes the model table's measures of every person, by prior and source: synthetic people, and recorded ones
-    nobody trained on."""
+    """Computes measures of every person, means over windows, by prior and source: synthetic people, and recorded ones
+    nobody trained on; of walkers the share who go on, too."""
     begun = state.from_motion(strangers.motion, causal=True)[:, 1:]
     each = zip(begun[:, None], strangers.motion.contacts[:, None, 1:], strict=True)
     sources = {"synthetic": dict(zip(strangers.names, each, strict=True))}
-    if real := model_card.person_states(report_part(takes)):
+    if real := person_states(report_part(takes), _MOST):
         sources["cmu"] = real
     return {
-        (name, source): model_card.person_rows(model, persons, seed)
+        (name, source): {
+            who: quality_row(model, *windows, seed) | _walkers(model, windows[0], seed)
+            for who, windows in persons.items()
+        }
         for name, model in models_by_name.items()
         for source, persons in sources.items()
     }
+
+
+@torch.no_grad()
+def _walkers(model: Cvae, states: Tensor, seed: int) -> dict[str, float]:
+    """Of windows in which a person walks, the share whose samples still do in the last half second, and who do so."""
+
+    def over_floor(states: Tensor) -> Tensor:  # (W, T - 1) of the pelvis, m/s
+        return state.unpack(states)["joints"][:, :, 0, :2].diff(dim=1).norm(dim=-1) * FPS
+
+    speed = over_floor(states)
+    walking = speed.mean(1) > _WALKING
+    names = "walkers who go on", "data's walkers who go on"
+    if not walking.any():
+        return dict.fromkeys(names, float("nan"))
+    first, generator = states[walking, 0], torch.Generator().manual_seed(seed)
+    made = sample_rollout(model, first, states.shape[1] - 1, generator=generator).states
+    least = 0.5 * speed[walking].mean(1)
+    still = (over_floor(made)[:, -15:].mean(1) > least, speed[walking, -15:].mean(1) > least)
+    return {name: float(each.float().mean()) for name, each in zip(names, still, strict=True)}

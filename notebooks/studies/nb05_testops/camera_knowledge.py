@@ -10,13 +10,12 @@ import torch
 from torch import Tensor
 
 from data_synth.scenes import Scene
-from motionlab import rotation
+from motionlab import metrics, rotation
 from motionlab.footage.fit import pixel_distances, pixels_of
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.metrics import intervals, pose
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from studies.nb05_testops import tuning
@@ -65,7 +64,7 @@ def errors(motion: Motion, cameras: Sequence[Camera], scene: Scene) -> dict[str,
     """
     there, made = in_camera(scene.cameras, scene.truth.positions), tuning.on_true_bones(motion, scene.truth)
     found = {"root": in_camera(cameras, made.positions), "none": in_camera(cameras, motion.positions)}
-    return {align: CM * pose.mpjpe(points, there, align=align) for align, points in found.items()}
+    return {align: CM * metrics.mpjpe(points, there, align=align) for align, points in found.items()}
 
 
 def compared(
@@ -105,10 +104,10 @@ def scores(motion: Motion, shot: Filmed) -> dict[str, Tensor]:
     scene, p, t = shot.scene, motion.positions, shot.scene.truth.positions
     made = tuning.on_true_bones(motion, scene.truth).positions
     px = misses(pixels_of(motion, list(scene.cameras)), scene.observation)
-    found = {"pose": CM * pose.mpjpe(made, t, align="root"), "own bones": CM * pose.mpjpe(p, t, align="root")}
-    found |= {"place": CM * pose.mpjpe(p, t, align="none")}
+    found = {"pose": CM * metrics.mpjpe(made, t, align="root"), "own bones": CM * metrics.mpjpe(p, t, align="root")}
+    found |= {"place": CM * metrics.mpjpe(p, t, align="none")}
     found |= {"ratio": px / misses(scene.pixels, scene.observation)}
-    found |= {"acceleration": pose.acceleration_error(p, t, scene.truth.fps)}
+    found |= {"acceleration": metrics.acceleration_error(p, t, scene.truth.fps)}
     return {name: shot.people.mean(values) for name, values in found.items()}
 
 
@@ -116,7 +115,7 @@ def score_rows(plain: Mapping[str, Methods], generator: torch.Generator) -> list
     """Returns a row per source and method: means over people, of the pose with its interval."""
     return [
         {"people": f"{source} ({len(found['pose'])})", "after": method}
-        | {"pose, cm": "{:.1f} [{:.1f}, {:.1f}]".format(*intervals.interval(found["pose"], "mean", generator))}
+        | {"pose, cm": "{:.1f} [{:.1f}, {:.1f}]".format(*metrics.interval(found["pose"], "mean", generator))}
         | {head: found[name].mean().item() for name, head in _HEADS.items()}
         for source, by in plain.items()
         for method, found in by.items()
@@ -131,7 +130,7 @@ def gains(
     for source, by in plain.items():
         two, three = (by[method]["pose"] for method in ("tuned stage 2", "stage 3"))
         row = {"people": f"{source} ({len(three)})", "stage 2 is tuned to": tuning.said(chosen[source])}
-        rows.append(row | {"stage 3 less the tuned stage 2: pose, cm": intervals.paired(three, two, generator)})
+        rows.append(row | {"stage 3 less the tuned stage 2: pose, cm": metrics.paired(three, two, generator)})
     return rows
 
 
@@ -142,7 +141,7 @@ def knowledge_rows(found: Mapping[str, Methods], generator: torch.Generator) -> 
         place, three = found["none"][name], by["stage 3"]
         rows.append({
             "known": name, "stage 3: pose, cm": f"{three.mean():.1f}",
-            "more than with all known": "" if three is most else intervals.paired(three, most, generator),
+            "more than with all known": "" if three is most else metrics.paired(three, most, generator),
             "place, cm": f"{place['stage 3'].mean():.0f}",
             "tuned stage 2: pose, cm": f"{by['tuned stage 2'].mean():.1f}",
             "its place, cm": f"{place['tuned stage 2'].mean():.0f}",

@@ -18,9 +18,9 @@ from torch import Tensor
 from data_synth import corrupt, scenes
 from data_synth.actions import ACTIONS
 from data_synth.scenes import Scene
-from motionlab.bench import cases
+from motionlab import bench
 from motionlab.corpus import Take
-from motionlab.metrics.gait import SEATED, tilt_and_bend
+from motionlab.metrics import SEATED, tilt_and_bend
 from motionlab.motion import Motion
 from studies.shared import clips
 from studies.shared.clips import FRAMES, stacked
@@ -134,7 +134,7 @@ class People(NamedTuple):
 
     def mean(self, values: Tensor) -> Tensor:
         """Computes the mean (P,) of each person's clips from one number (B,) a clip."""
-        return cases.by_person(values, self.whose)
+        return bench.by_person(values, self.whose)
 
     def first(self, count: int) -> People:
         """Returns so many recorded clips, evenly through them."""

@@ -13,13 +13,13 @@ from motionlab.humor.energies import KEYPOINTS
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.io import points
 from motionlab.io.cameras import load_cameras
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 from motionlab.skeleton import STANDARD
 from motionlab.viz.movie import strip
 from studies.nb05_testops.recordings import COMPARED, HIPS, compared
+from studies.shared import captury
 from studies.shared.clips import part, stacked
 
 #: What is shown, from which second on of which take.
@@ -58,15 +58,26 @@ def moments(folder: Path | str, *, frames: int = 60, views: int = 4) -> Moments:
     seen, cameras, joints, names = [], [], [], []
     for name, (take, start) in MOMENTS.items():
         place, first = Path(folder) / take, round(start * FPS)
-        there = points.load_biomech(place / "biomech.csv", fps=50.0).select(list(COMPARED.values())).positions
+        there = captury.joints(place / "biomech.csv", COMPARED.values())
         at = (first + torch.arange(frames)) * (50.0 / FPS)  # joints at 30 fps, linear between
         low = at.floor().long().clamp(max=len(there) - 2)
         share = (at - low)[:, None, None]
         for index, camera in enumerate([*load_cameras(place / "camera.calib").values()][:views]):
-            table = points.load_projected(place / f"projected{index:02}.csv", camera=camera, fps=50.0)
+            table = projected(place / f"projected{index:02}.csv", camera)
             seen.append(part(at_rate(_as_body_25(table)), slice(first, first + frames)))
             cameras.append(camera), joints.append(torch.lerp(there[low], there[low + 1], share)), names.append(name)
     return Moments(stacked(seen, camera=None), cameras, torch.stack(joints), tuple(names))
+
+
+def projected(path: Path, camera: Camera) -> Observation2D:
+    """Reads the joints as projected into a camera: exact, in image widths; confidence 1 in the image, 0 outside."""
+    head, *rows = [line.split(",") for line in path.read_text().splitlines() if line.strip()]
+    names = tuple(name.strip() for name in head[1::2] if name.strip())
+    table = np.array([row[1 : 1 + 2 * len(names)] for row in rows], np.float32)
+    pixels = torch.from_numpy(table).double().unflatten(-1, (-1, 2)) * camera.width
+    inside = ((pixels >= 0) & (pixels < torch.tensor([camera.width, camera.height]))).all(-1)
+    pixels = torch.where(inside[..., None], pixels, 0.0).float()
+    return Observation2D(pixels, inside.float(), names, captury.FPS, camera, f"{path.parent.name} {path.stem}")
 
 
 def _as_body_25(table: Observation2D) -> Observation2D:

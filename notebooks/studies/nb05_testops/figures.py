@@ -14,7 +14,7 @@ from torch import Tensor
 
 from data_synth.scenes import Scene
 from motionlab.body import BodyModel
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D
 from motionlab.viz.movie import meshes, overlay

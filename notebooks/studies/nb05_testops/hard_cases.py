@@ -12,11 +12,11 @@ from torch import Tensor
 
 from data_synth import corrupt, scenes
 from data_synth.scenes import Scene
+from motionlab import metrics
 from motionlab.contact import with_contacts
 from motionlab.footage.fit import landmarks_of
 from motionlab.humor.energies import RGB_LIGHT, Weights
-from motionlab.metrics import gait, pose
-from motionlab.metrics.intervals import Paired, paired
+from motionlab.metrics import Paired, paired
 from motionlab.motion import Motion
 from studies.nb05_testops import cast as clips_of
 from studies.nb05_testops import measures
@@ -118,7 +118,7 @@ def rows(filmed: Mapping[Case, Scene], people: Mapping[Case, Sequence[str]]) -> 
     return [
         {"case": case, "source": source, "clips": len(s),
          "people": len(set(people.get((case, source), range(len(s))))),
-         "leg joints seen, %": 100 * s.seen[..., gait.legs(s.truth)].float().mean().item(),
+         "leg joints seen, %": 100 * s.seen[..., metrics.legs(s.truth)].float().mean().item(),
          "false detections, %": 100 * s.wrong.float().mean().item()}
         for (case, source), s in filmed.items()
     ]  # fmt: skip
@@ -164,7 +164,7 @@ def posture(ways: Mapping[str, Motion], truth: Motion) -> dict[str, dict[str, Te
     in degrees ("flexion") and of the legs in cm ("legs")."""
     when = measures.moment(truth)
     return {
-        way: {"seated": seated(motion, when), "bent": gait.sits(motion, when=when),
+        way: {"seated": seated(motion, when), "bent": metrics.sits(motion, when=when),
               "flexion": measures.flexion_error(motion, truth), "legs": scores(motion, truth)["legs"]}
         for way, motion in ways.items()
     }  # fmt: skip
@@ -181,7 +181,7 @@ def swings(
 ) -> dict[str, dict[int, Tensor]]:
     """Computes by way and length of the failure how far the hidden legs swing (P,) over the true swing, by person; of
     clips in which they are hidden in ten frames or more."""
-    hidden = ~scene.seen[..., gait.legs(scene.truth)].any(-1)
+    hidden = ~scene.seen[..., metrics.legs(scene.truth)].any(-1)
 
     def over_true(motion: Motion) -> Tensor:
         ratio = measures.swing(motion, hidden) / measures.swing(scene.truth, hidden)
@@ -193,7 +193,7 @@ def swings(
 
 def lateness(ways: Mapping[str, Motion], truth: Motion) -> dict[str, tuple[Tensor, Tensor, Tensor]]:
     """Computes by way the error over time (B, T) in cm, and its means (B,) over the first and the last quarter."""
-    off = {way: pose.joint_errors(motion.positions, truth.positions, align="root") for way, motion in ways.items()}
+    off = {way: metrics.joint_errors(motion.positions, truth.positions, align="root") for way, motion in ways.items()}
     return {way: (100 * x.mean(-1), *measures.quarters(100 * x.mean(-1))) for way, x in off.items()}
 
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from motionlab import metrics
 from motionlab.humor import state
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.priors import Cvae
 from motionlab.humor.rollout import infer, rollout
-from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 
 CM = 100.0
@@ -31,7 +31,7 @@ def accumulation(model: Cvae, truth: Motion) -> Tensor:
         posterior, _ = infer(model, states)
         rolled = rollout(model, states[:, 0], posterior.mean, with_prior=False).states
     found = state.unpack(torch.cat((states[:, :1], rolled), 1))["joints"]
-    return pose.joint_errors(found, truth.positions, align="root").mean(-1)
+    return metrics.joint_errors(found, truth.positions, align="root").mean(-1)
 
 
 def moment(truth: Motion) -> Tensor:
@@ -43,16 +43,16 @@ def moment(truth: Motion) -> Tensor:
 
 
 def flexion_error(fit: Motion, truth: Motion) -> Tensor:
-    """Computes the mean absolute error of ``gait.tilt_and_bend``'s angles over frames and legs, degrees."""
-    pairs = zip(gait.tilt_and_bend(fit), gait.tilt_and_bend(truth), strict=True)
+    """Computes the mean absolute error of ``metrics.tilt_and_bend``'s angles over frames and legs, degrees."""
+    pairs = zip(metrics.tilt_and_bend(fit), metrics.tilt_and_bend(truth), strict=True)
     return torch.stack([(a - b).abs().mean((-1, -2)) for a, b in pairs]).mean(0)
 
 
 def swing(motion: Motion, where: Tensor) -> Tensor:
-    """Computes the standard deviation of ``gait.ahead`` over the frames of a mask, metres."""
-    way = gait.ahead(motion)
-    mean = pose.masked_mean(way, where, 1)
-    return pose.masked_mean((way - mean[..., None]).square(), where, 1).sqrt()
+    """Computes the standard deviation of ``metrics.ahead`` over the frames of a mask, metres."""
+    way = metrics.ahead(motion)
+    mean = metrics.masked_mean(way, where, 1)
+    return metrics.masked_mean((way - mean[..., None]).square(), where, 1).sqrt()
 
 
 def _about_pelvis(motion: Motion) -> Tensor:
@@ -61,9 +61,11 @@ def _about_pelvis(motion: Motion) -> Tensor:
 
 def band_power(fit: Motion, truth: Motion, bands: Sequence[float]) -> Tensor:
     """Power of the joints' velocities about the pelvis over the true one, per band of frequency: (B, bands)."""
-    return pose.power_spectrum_ratio(_about_pelvis(fit), _about_pelvis(truth), truth.fps, bands)
+    return metrics.power_spectrum_ratio(_about_pelvis(fit), _about_pelvis(truth), truth.fps, bands)
 
 
 def acceleration_ratio(fit: Motion, truth: Motion) -> Tensor:
     """Mean size of the acceleration about the pelvis over the true one."""
-    return pose.mean_acceleration(_about_pelvis(fit), fit.fps) / pose.mean_acceleration(_about_pelvis(truth), truth.fps)
+    return metrics.mean_acceleration(_about_pelvis(fit), fit.fps) / metrics.mean_acceleration(
+        _about_pelvis(truth), truth.fps
+    )

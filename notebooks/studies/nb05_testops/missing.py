@@ -15,11 +15,10 @@ from data_synth import scenes
 from data_synth.scenes import Scene
 from motionlab.contact import with_contacts
 from motionlab.humor.energies import RGB, RGB_LIGHT
+from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import Priors
-from motionlab.humor.shooting.feedback_solver import Plan
 from motionlab.humor.testops import Fitted, Schedule, fit
-from motionlab.metrics import pose
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval, joint_errors
 from motionlab.motion import Motion
 from motionlab.viz.palette import INK, LINE, colour
 from studies.nb05_testops import trials
@@ -151,7 +150,7 @@ def over_time(
     t = np.arange(truth.frames) / truth.fps
     for k in (2, 3):
         for motions, style, name in ((whole, (0, (3, 2)), "all frames"), (stages, "-", "frames missing")):
-            error = CM * pose.joint_errors(motions[k].positions, truth.positions, align="none")[0].mean(-1)
+            error = CM * joint_errors(motions[k].positions, truth.positions, align="none")[0].mean(-1)
             ax.plot(t, error, ls=style, lw=1.8, color=colour(f"stage{k}"), label=f"stage {k}, {name}")
     if frames:
         half = 0.5 / truth.fps

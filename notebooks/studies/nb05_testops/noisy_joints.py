@@ -13,6 +13,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
+from motionlab import metrics
 from motionlab.baselines import between_known, kalman, savitzky_golay
 from motionlab.contact import contacts_from_positions, resting_heights
 from motionlab.humor import start as starts
@@ -20,7 +21,6 @@ from motionlab.humor.energies import JOINTS, KEYPOINTS
 from motionlab.humor.evidence import Observation3D, evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.skeleton import FEET, STANDARD, fk
 from studies.nb05_testops import tuning
@@ -88,14 +88,14 @@ def measures(p: Tensor, truth: Motion, visible: Tensor) -> dict[str, Tensor]:
     feet where the true foot stands, mm per frame.
     """
     t, skeleton = truth.positions, truth.skeleton
-    seen, hidden = (pose.mpjpe(p, t, align="none", mask=which) for which in (visible.bool(), ~visible.bool()))
+    seen, hidden = (metrics.mpjpe(p, t, align="none", mask=which) for which in (visible.bool(), ~visible.bool()))
     feet = skeleton.indices(list(FEET))
     touching = contacts_from_positions(p[..., skeleton.contact_indices, :], truth.fps, resting_heights(STANDARD))
     return {
-        "all cm": CM * pose.mpjpe(p, t, align="none"), "visible cm": CM * seen, "hidden cm": CM * hidden,
-        "acceleration error m/s^2": pose.acceleration_error(p, t, truth.fps),
-        "contact F1": gait.contact_scores(touching, truth.contacts).f1,
-        "slide mm": gait.slide_where_truth_stands_mm(p[..., feet, :], t[..., feet, :]),
+        "all cm": CM * metrics.mpjpe(p, t, align="none"), "visible cm": CM * seen, "hidden cm": CM * hidden,
+        "acceleration error m/s^2": metrics.acceleration_error(p, t, truth.fps),
+        "contact F1": metrics.contact_f1(touching, truth.contacts),
+        "slide mm": metrics.slide_where_truth_stands_mm(p[..., feet, :], t[..., feet, :]),
     }  # fmt: skip
 
 

@@ -8,13 +8,13 @@ from matplotlib.figure import Figure
 
 from data_synth import scenes
 from data_synth.scenes import Scene
+from motionlab import metrics
 from motionlab.body import BodyModel
 from motionlab.contact import with_contacts
 from motionlab.humor import testops
 from motionlab.humor.energies import RGB_LIGHT, Weights
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule
-from motionlab.metrics import gait
 from motionlab.motion import Motion
 from motionlab.viz.movie import Mesh, stage
 from motionlab.viz.palette import ROLE
@@ -69,7 +69,7 @@ def errors(motion: Motion, scene: Scene) -> dict[str, float]:
         for where, moved in {"": motion, " in pose": replace(motion, root=scene.truth.root)}.items()
     }
     speed = lambda x: x.positions.diff(n=2, dim=1).norm(dim=-1).mean().item() * motion.fps**2  # noqa: E731
-    feet = motion.skeleton.indices([f"{side}_{part}" for side in gait.SIDES for part in ("ankle", "foot")])
+    feet = motion.skeleton.indices([f"{side}_{part}" for side in metrics.SIDES for part in ("ankle", "foot")])
     steps = [x.positions[..., feet, :] for x in (motion, scene.truth)]
     return {
         f"{which} joints{where}, cm": x[joints].mean().item()
@@ -77,7 +77,7 @@ def errors(motion: Motion, scene: Scene) -> dict[str, float]:
         for where, x in off.items()
     } | {
         "acceleration / truth's": speed(motion) / speed(scene.truth),
-        "slide, mm/frame": gait.slide_where_truth_stands_mm(*steps).mean().item(),
+        "slide, mm/frame": metrics.slide_where_truth_stands_mm(*steps).mean().item(),
     }
 
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from data_synth import scenes
+from motionlab import metrics
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
 from motionlab.footage.fit import landmarks_of, pixels_of
@@ -23,7 +24,6 @@ from motionlab.humor.testops import Fitted, Schedule
 from motionlab.io import keypoints, points
 from motionlab.io.cameras import load_cameras
 from motionlab.io.detections import to_body_25
-from motionlab.metrics import pose
 from motionlab.motion import FPS, Motion
 from motionlab.observation import BODY_25, Camera, Observation2D, at_rate
 from studies.nb05_testops import over_video
@@ -195,7 +195,7 @@ def measured(motion: Motion, cameras: Sequence[Camera], views: Views) -> dict[st
     truth = views.reference[None, : motion.frames].expand(len(cameras), -1, -1, -1)
     found, there = in_camera(cameras, compared(motion)), in_camera(views.cameras, truth)
     ours, theirs = (x[..., HIPS, :].mean(-2, keepdim=True) for x in (found, there))
-    moving = pose.mean_acceleration(compared(motion), motion.fps) / pose.mean_acceleration(truth, motion.fps)
+    moving = metrics.mean_acceleration(compared(motion), motion.fps) / metrics.mean_acceleration(truth, motion.fps)
     return {
         "px": misses(pixels_of(motion, list(cameras)), views.observation),
         "global": 100 * (found - there).norm(dim=-1).mean((-2, -1)),

@@ -10,12 +10,11 @@ from torch import Tensor
 
 from data_synth.legs import two_bone
 from data_synth.scenes import Scene
-from motionlab import rotation
+from motionlab import metrics, rotation
 from motionlab.baselines import smoothed
 from motionlab.humor.energies import RGB
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from motionlab.parallel import run_jobs
 from studies.nb05_testops.measures import CM
@@ -67,12 +66,12 @@ def scores(motion: Motion, truth: Motion) -> dict[str, Tensor]:
     "acceleration": error in m/s^2.
     """
     p, t = motion.positions, truth.positions
-    error = pose.joint_errors(p, t, align="root")
+    error = metrics.joint_errors(p, t, align="root")
     return {
         "all": CM * error.mean((-1, -2)),
-        "legs": CM * error[..., gait.legs(motion)].mean((-1, -2)),
-        "world": CM * pose.mpjpe(p, t, align="none"),
-        "acceleration": pose.acceleration_error(p, t, truth.fps),
+        "legs": CM * error[..., metrics.legs(motion)].mean((-1, -2)),
+        "world": CM * metrics.mpjpe(p, t, align="none"),
+        "acceleration": metrics.acceleration_error(p, t, truth.fps),
     }
 
 
@@ -116,7 +115,7 @@ def on_the_floor(motion: Motion) -> Motion:
     What a floor alone does for stage 2: the pelvis stays, the foot keeps its direction.
     """
     sole, rot, (points, turns) = 0.09, motion.rot.clone(), motion.world
-    for side in gait.SIDES:
+    for side in metrics.SIDES:
         hip, knee, ankle = motion.skeleton.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle")])
         target = points[..., ankle, :].clone()
         target[..., 2] = target[..., 2].clamp(min=sole)
@@ -141,7 +140,7 @@ def later_error(fit: Motion, truth: Motion, gap: Sequence[int]) -> tuple[Tensor,
 
     Before is NaN where nothing comes before.
     """
-    error = CM * pose.joint_errors(fit.positions, truth.positions, align="none").mean(-1)
+    error = CM * metrics.joint_errors(fit.positions, truth.positions, align="none").mean(-1)
     last = max(gap) + 1
     after = error[..., last:] if last < error.shape[-1] else error[..., min(gap) :]
     return error[..., : min(gap)].mean(-1), after.mean(-1)

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from motionlab import metrics
 from motionlab.baselines import smoothed
 from motionlab.humor.energies import Weights
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
-from motionlab.metrics import pose
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
@@ -55,7 +55,7 @@ def search(
         for window in windows:
             made = filtered(fitted.stages[2], window)
             made = on_true_bones(made, truth) if align == "root" else made
-            error = pose.mpjpe(made.positions, truth.positions, align=align)
+            error = metrics.mpjpe(made.positions, truth.positions, align=align)
             rows[tried._replace(window=window)] = 100 * error.mean().item()
 
     while True:

@@ -69,7 +69,7 @@ class Closure:
 
     def energies(self, chain: Chain, people: Posed) -> dict[str, Tensor]:
         """Computes the weighted terms (B,)."""
-        return stages.rolled_terms(self.problem, self.unknown, Rolled(*chain[:2], people))
+        return stages.rolled_terms(self.problem, Rolled(*chain[:2], people))
 
 
 class Bars:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motionlab.humor.cvae import Cvae
+from motionlab.humor.priors import Cvae
 from motionlab.humor.rollout import infer, rollout
 from studies.nb07_decoupled.energy import prior_of, terms
 from studies.nb07_decoupled.search import Plan

@@ -21,8 +21,8 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.humor import stages, state
-from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.evidence import Evidence
+from motionlab.humor.priors import Cvae, Gaussian
 from motionlab.humor.rollout import Rollout, rollout
 from motionlab.humor.stages import Problem, Terms
 from motionlab.humor.state import SHAPES
@@ -82,7 +82,7 @@ class Form:
 def terms(problem: Problem, unknown: Unknown, form: Form) -> tuple[Terms, Sequences]:
     """The weighted terms (B,) of E by name, "consistency" among them; and the decoded sequences.
 
-    unknown: "x" (B, T, 273), "z" (B, T - 1, 48), "betas" (B, 8). Each row is a recording of one window.
+    unknown: "x" (B, T, 273), "z" (B, T - 1, 48), "betas" (B, 8).
     """
     if form.steps is None:
         found, rolled = whole(problem, unknown)
@@ -114,8 +114,8 @@ def _objective(problem: Problem, every: Tensor, logits: Tensor, z: Tensor, betas
     many = replace(problem, evidence=problem.evidence.rows(torch.arange(batch).repeat_interleave(count)))
     spread = [x[:, None].expand(-1, count, -1, -1).flatten(0, 1) for x in (z, *prior)]
     rolled = Rollout(every[:, :, 1:].flatten(0, 1), logits.flatten(0, 1), spread[0], Gaussian(*spread[1:]))
-    rows, body = posed(every.flatten(0, 1), betas.repeat_interleave(count, 0), many.evidence, rolled)
-    found = stages.rolled_terms(many, rows, body)
+    body = posed(every.flatten(0, 1), betas.repeat_interleave(count, 0), many.evidence, rolled)
+    found = stages.rolled_terms(many, body)
     return {name: x.unflatten(0, (batch, count)).mean(1) for name, x in found.items()}
 
 
@@ -125,12 +125,12 @@ def prior_of(model: Cvae, states: Tensor) -> Gaussian:
     return model.prior(state.localise(past, state.heading(past)))
 
 
-def posed(states: Tensor, betas: Tensor, evidence: Evidence, rolled: Rollout | None = None) -> tuple[Unknowns, Rolled]:
-    """The body in states (B, T, 339), of people with shapes (B, 8), as a roll-out with free first states has it, one
-    window of each clip; a camera stays where it is."""
-    first, rolled = states[:, None, 0], rolled or Rollout(states[:, 1:], None, None, None)
+def posed(states: Tensor, betas: Tensor, evidence: Evidence, rolled: Rollout | None = None) -> Rolled:
+    """The body in states (B, T, 339), of people with shapes (B, 8), as a roll-out with free first states has it; a
+    camera stays where it is."""
+    first, rolled = states[:, 0], rolled or Rollout(states[:, 1:], None, None, None)
     rows = Unknowns(first[..., :3], first[..., :0], first[..., :0], betas=betas, camera=betas.new_zeros(len(betas), 3))
-    return rows, rolled_from(states[:, 0], rolled, rows, evidence)
+    return rolled_from(first, rolled, rows, evidence)
 
 
 def whole(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
@@ -139,5 +139,5 @@ def whole(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
     first = to_states(unknown["x"][:, 0])
     rolled = rollout(problem.priors.motion, first, unknown["z"])
     states = torch.cat((first[:, None], rolled.states), 1)
-    rows, body = posed(states, unknown["betas"], problem.evidence, rolled)
-    return stages.rolled_terms(problem, rows, body), body
+    body = posed(states, unknown["betas"], problem.evidence, rolled)
+    return stages.rolled_terms(problem, body), body

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from data_synth import scenes
 from data_synth.scenes import Scene
-from motionlab import corpus, splits
-from motionlab.bench.cases import person_windows
+from motionlab import corpus, metrics, splits
+from motionlab.bench import person_windows
 from motionlab.humor import state, testops
 from motionlab.humor.energies import JOINTS, RGB_LIGHT
 from motionlab.humor.evidence import Observation2D, Observation3D, evidence
@@ -27,7 +27,6 @@ from motionlab.humor.rollout import decode_ahead, infer, rollout
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import motion_of
-from motionlab.metrics import gait, pose
 from motionlab.motion import Motion
 from studies.nb07_decoupled.energy import Unknown, posed, prior_of, to_persistent, to_states, whole
 from studies.nb07_decoupled.search import Found, Plan, search
@@ -91,7 +90,7 @@ def solved(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> dic
     """What a whole fit by shooting finds, as decoupled unknowns: the states of its roll-out, its z, its shape."""
     how = {"schedule": schedule, "solver": "shooting", "cameras": scene.cameras}
     fitted = testops.fit(part(scene.observation, slice(None), slice(frames)), priors, **how)
-    first, z = fitted.first[:, 0], fitted.z[:, 0]
+    first, z = fitted.first, fitted.z
     with torch.no_grad():
         states = torch.cat((first[:, None], rollout(priors.motion, first, z, with_prior=False).states), 1)
     return {"x": to_persistent(states), "z": z, "betas": fitted.betas}
@@ -101,7 +100,7 @@ def solved(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> dic
 @torch.no_grad()
 def motions(known: Case, unknown: Unknown) -> dict[str, Motion]:
     """ "x": the persistent states as they are. "roll-out": the exact roll-out of x_0 and z."""
-    _, kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
+    kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
     _, rolled = whole(known.problem, unknown)
     return {name: motion_of(found.body, known.truth.fps) for name, found in (("x", kept), ("roll-out", rolled))}
 
@@ -122,9 +121,9 @@ def judged(known: Case, unknown: Unknown, frames: int | None = None) -> dict[str
     x, rolled = motions(known, unknown).values()
     end = torch.zeros(rolled.root.shape[:-1], dtype=torch.bool)
     end[:, -10:] = True
-    found = energy(known, unknown) | {"gap": 100 * pose.mpjpe(x.positions, rolled.positions, align="none")}
+    found = energy(known, unknown) | {"gap": 100 * metrics.mpjpe(x.positions, rolled.positions, align="none")}
     for name, motion in (("", rolled), ("x ", x)):
-        found[f"{name}error"] = 100 * pose.mpjpe(motion.positions, known.truth.positions, align="none")
+        found[f"{name}error"] = 100 * metrics.mpjpe(motion.positions, known.truth.positions, align="none")
         found[f"{name}legs"] = legs(known, motion)
         found[f"{name}sits"] = seated(motion, end).double()
     return found | {"first legs": legs(known, x, frames)}
@@ -132,8 +131,8 @@ def judged(known: Case, unknown: Unknown, frames: int | None = None) -> dict[str
 
 def legs(known: Case, motion: Motion, frames: int | None = None) -> Tensor:
     """Error (B,) in cm of knees, ankles and feet, pelvis on the true one, over the first ``frames`` or all."""
-    error = pose.joint_errors(motion.positions, known.truth.positions, align="root")
-    return 100 * error[:, :frames, gait.legs(known.truth)].mean((-1, -2))
+    error = metrics.joint_errors(motion.positions, known.truth.positions, align="root")
+    return 100 * error[:, :frames, metrics.legs(known.truth)].mean((-1, -2))
 
 
 def found_again(
@@ -165,7 +164,7 @@ def flexion(known: Case, z: Tensor) -> Tensor:
     skeleton, fps, states = known.stage_2.skeleton, known.truth.fps, to_states(known.start["x"])
     with torch.no_grad():
         after = decode_ahead(known.problem.priors.motion, states[:, :-1], z)
-    before, after = (gait.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
+    before, after = (metrics.tilt_and_bend(state.to_motion(x, skeleton, fps))[1] for x in (states[:, :-1], after))
     return (after - before).mean(-1).sum(-1)
 
 

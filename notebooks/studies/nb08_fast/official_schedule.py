@@ -17,10 +17,9 @@ from torch import Tensor
 
 from data_synth import scenes
 from motionlab import files
-from motionlab.humor import pretrained, stages, unknowns
+from motionlab.humor import feedback_solver, pretrained, stages, unknowns
 from motionlab.humor import start as starts
 from motionlab.humor.energies import JOINTS, KEYPOINTS, RGB_LIGHT
-from motionlab.humor.shooting import feedback_solver
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import Unknowns
 from studies.nb08_fast import trials
@@ -55,10 +54,10 @@ def compared(task: Task, schedule: Schedule) -> dict[str, object]:
     """Energies and errors (cm) of all clips by both, each by its own form's roll-out, and seconds of one core."""
     began = clock()
     unknown, closures = in_full(task, schedule)
-    spent, problem = clock() - began, replace(task.problem, mode="official", parametrisation=savings.OFFICIAL)
+    spent, problem = clock() - began, replace(task.problem, **savings.OFFICIAL)
     with torch.no_grad():
         end = sum(stages.motion_terms(problem, unknown).values())
-        body = problem.parametrisation.roll(unknown, problem.priors, problem.evidence).body
+        body = problem.roll(unknown, problem.priors, problem.evidence).body
     error = task.error(unknowns.motion_of(body, task.truth.fps))
     theirs = _row(end, error, closures=closures, seconds=round(spent, 1))
     began, plan = clock(), feedback_solver.Plan()
@@ -76,8 +75,8 @@ def _row(energy: Tensor, error: Tensor, **more: object) -> dict[str, object]:
 
 def in_full(task: Task, schedule: Schedule) -> tuple[Unknowns, int]:
     """The unknowns that the faithful form's stage 3 ends with, after all of its sub-stages, and how many closures."""
-    problem = replace(task.problem, mode="official", parametrisation=savings.OFFICIAL)
-    how = (problem.evidence.confidence_per_joint, problem.priors, (0,), task.truth.frames, "official")
+    problem = replace(task.problem, **savings.OFFICIAL)
+    how = (problem.evidence.confidence_per_joint, problem.priors, "official")
     unknown, factors = starts.start_stage_3(task.rough, task.latent, task.unknown.shared(), *how)
     work = {name: getattr(schedule, name) for name in ("short", "refine", "inner", "tolerance")}
     unknown, fits = stages.stage_3(problem, unknown, factors, steps=schedule.steps[2], **work)

@@ -14,13 +14,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab.humor import stages, testops, unknowns
+from motionlab.humor import coordinates, feedback_solver, stages, testops, unknowns
 from motionlab.humor import start as starts
 from motionlab.humor.energies import Weights
 from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import steered_rollout
-from motionlab.humor.shooting import coordinates, feedback_solver
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import FIRST, Unknowns
@@ -62,7 +61,7 @@ class Task:
     def begun(self, eager: float, trust: Tensor | None = None) -> Task:
         """The same at another start (``start.start_stage_3``), joints believed as the evidence has them or as told."""
         trust = self.problem.evidence.confidence_per_joint if trust is None else trust
-        how = (trust, self.problem.priors, (0,), self.truth.frames, "lean", self.problem.weights.pull, eager)
+        how = (trust, self.problem.priors, "lean", self.problem.weights.pull, eager)
         start, factors = starts.start_stage_3(self.rough, self.latent, self.unknown.shared(), *how)
         return replace(self, unknown=start.detached(), factors=factors)
 
@@ -104,7 +103,7 @@ def prepare(
     unknown = unknown.detached()
     seen = torch.ones(truth.positions.shape[:-1], dtype=torch.bool) if seen is None else seen
     spent = clock() - began
-    task = Task(name, problem, unknown, None, unknown.latent[:, 0], truth, rough, seen, spent)
+    task = Task(name, problem, unknown, None, unknown.latent, truth, rough, seen, spent)
     return task.begun(starts.DAMPING_SHOOTING)
 
 
@@ -173,14 +172,14 @@ def single_shooting(task: Task, how: Single) -> Run:
     """Lean single shooting of one clip: L-BFGS on first state and z in the rounder coordinates of ``start_stage_3``."""
     log, task = Log(), task.begun(how.eager)
     every = (*FIRST, "z", "betas")
-    short = min(15, task.unknown.z.shape[2] + 1)
+    short = min(15, task.unknown.z.shape[1] + 1)
     unknown = task.unknown
-    head = replace(unknown, z=unknown.z[:, :, : short - 1])
+    head = replace(unknown, z=unknown.z[:, : short - 1])
     parts = [(every, {"grown": False}), (tuple(n for n in every if n not in FIRST), {"contacts": False}), (every, {})]
     for (moving, what), inner in zip(parts, how.iterations, strict=True):
         if inner > 0:
             found = _descended(task, head if what == {"grown": False} else unknown, moving, inner, how, log, what)
-            unknown = replace(found, z=torch.cat((found.z, unknown.z[:, :, found.z.shape[2] :]), 2))
+            unknown = replace(found, z=torch.cat((found.z, unknown.z[:, found.z.shape[1] :]), 1))
     return log.run()
 
 
@@ -197,11 +196,10 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
         kept = terms if what.get("contacts", True) else terms.keys() - {"contact_vel", "contact_height"}
         return sum(x for n, x in terms.items() if n in kept)
 
-    point = {n: x.clone().requires_grad_() for n, x in new.items()}
     with torch.no_grad():
-        begun = sum(stages.motion_terms(task.problem, old(point, slice(None)), **what).values())
+        begun = sum(stages.motion_terms(task.problem, old(new, slice(None)), **what).values())
     enough = 1e-5 * begun.abs().nan_to_num(0.0, 0.0, 0.0)  # of its own first energy, as in ``testops.fit``
-    fit = minimise_batch(energy, point, steps=1, inner=inner, memory=how.memory, tolerance_change=enough)
+    fit = minimise_batch(energy, new, steps=1, inner=inner, memory=how.memory, tolerance_change=enough)
     return old(fit.variables, slice(None)).detached()
 
 
@@ -210,7 +208,7 @@ def shooting(task: Task, work: Schedule) -> Run:
     began, plan, rival = clock(), work.shooting, None
     start = task.begun(starts.DAMPING_SHOOTING).unknown
     if work.guesses and task.problem.evidence.hides_feet.any():
-        plan = replace(plan, two_starts=True, trial_rounds=max(plan.trial_rounds, testops._WEIGHED))
+        plan = replace(plan, trial_rounds=max(plan.trial_rounds, testops._WEIGHED))
         rival = _seated(task)
     kept, seconds = [], []
 
@@ -256,12 +254,12 @@ def nudged(task: Task, unknown: Unknowns, number: int, sigmas: float) -> Nudged:
     out with the other latents held (open loop) or answering (closed loop)."""
     white = coordinates.linearised(task.problem, unknown, stride=4)
     with torch.no_grad():
-        first, z = unknowns.first_state(unknown, task.problem.priors), unknown.z[:, 0]
+        first, z = unknowns.first_state(unknown, task.problem.priors), unknown.z
         plain, _ = steered_rollout(task.problem.priors.motion, first, z)
         push = torch.zeros_like(z)
         sign = torch.randn(z.shape[-1], generator=torch.Generator().manual_seed(number)).sign()
         push[0, number - 1] = sigmas * sign * (0.5 * plain.prior.log_var[0, number - 1]).exp()
-        ways = {"open loop": (z + push, None), "closed loop": (white.base + push, white.gains)}
+        ways = {"open loop": (z + push, None), "closed loop": (white.base + push, white.gains.transpose(0, 1))}
         rolled = {way: steered_rollout(task.problem.priors.motion, first, *how)[0] for way, how in ways.items()}
         bodies = {
             way: unknowns.motion_of(unknowns.rolled_from(first, r, unknown, task.problem.evidence).body, 30.0).clip(0)

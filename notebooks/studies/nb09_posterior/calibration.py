@@ -14,7 +14,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 from studies.nb09_posterior.hidden_people import Clip
 
 LEVELS = (0.5, 0.8, 0.9)

@@ -16,9 +16,9 @@ from motionlab import posterior
 from motionlab.humor import state, unknowns
 from motionlab.humor.energies import RGB_LIGHT
 from motionlab.humor.evidence import evidence
+from motionlab.humor.feedback_solver import Plan, solve
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import sample_rollout
-from motionlab.humor.shooting.feedback_solver import Plan, solve
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Fitted
 from motionlab.humor.unknowns import Unknowns
@@ -43,18 +43,13 @@ def truths(scene: Scene, priors: Priors, generator: torch.Generator) -> tuple[Pr
     nat = weights.motion_prior[2]
     off = dict.fromkeys(("joint_consistency", "bone_length", "contact_vel", "contact_height"), (0.0,) * 3)
     weights = replace(weights, **off, init_motion_prior=(0.0, 0.0, nat * 15 / frames))  # grows by frames / 15
-    parts = state.unpack(state.from_motion(scene.truth, causal=priors.motion.causal)[:, 0])
-    first = {name: parts[name] for name in ("trans", "trans_vel", "root_orient_vel")}
-    first["joints_vel"] = parts["joints_vel"].flatten(-2)
-    first["orient"] = unknowns.from_matrix(parts["root_orient"], "lean")
-    first["latent"] = priors.pose.encode(parts["pose_body"]).mean
+    first = state.from_motion(scene.truth, causal=priors.motion.causal)[:, 0]
+    latent = priors.pose.encode(state.unpack(first)["pose_body"]).mean
     shape = (nat / (2 * frames * weights.shape_prior[2])) ** 0.5
-    begun = Unknowns(
-        **{name: value[:, None] for name, value in first.items()}, camera=torch.zeros(clips, 3),
-        betas=shape * torch.randn(clips, 8, generator=generator),
-    )  # fmt: skip
+    betas = shape * torch.randn(clips, 8, generator=generator)
+    begun = unknowns.of_first_state(first, latent, betas=betas, camera=torch.zeros(clips, 3))
     rolled = sample_rollout(priors.motion, unknowns.first_state(begun, priors), frames - 1, generator=generator)
-    true = replace(begun, z=rolled.z[:, None])
+    true = replace(begun, z=rolled.z)
     body = unknowns.roll(true, priors, evidence(scene.observation, cameras=scene.cameras)).body
     noise = (nat / (2 * weights.joints2d[2])) ** 0.5 * torch.randn(body.observed.shape, generator=generator)
     sure = (scene.observation.confidence > 0).float()
@@ -65,7 +60,7 @@ def truths(scene: Scene, priors: Priors, generator: torch.Generator) -> tuple[Pr
 
 def found(problem: Problem, true: Unknowns, rounds: int = 4) -> Fitted:
     """Searches the energy's minimum from the truth, so that a wrong valley cannot spoil the ranks."""
-    at, _ = solve(problem, true, Plan(rounds, 20, 1e-5, mode_jumps=0, trial_rounds=0, two_starts=False))
+    at, _ = solve(problem, true, Plan(rounds, 20, 1e-5, mode_jumps=0, trial_rounds=0))
     return Fitted(None, {}, None, None, None, None, None, {}, {}, problem=problem, unknown=at.detached())
 
 

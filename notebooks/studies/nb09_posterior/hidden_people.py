@@ -12,7 +12,7 @@ from torch import Tensor
 from data_synth import scenes
 from data_synth.scenes import Scene
 from motionlab import posterior
-from motionlab.bench.cases import HIDDEN, JOINTS
+from motionlab.bench import HIDDEN, JOINTS
 from motionlab.diffusion import completer
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule, fit

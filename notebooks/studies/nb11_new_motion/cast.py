@@ -8,7 +8,7 @@ from torch import Tensor
 
 from data_synth import corpus as synthetic
 from motionlab import corpus, splits
-from motionlab.bench.cases import person_windows
+from motionlab.bench import person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.motion import Motion

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from motionlab.heading import heading_frame, world_to_local_positions
-from motionlab.motion import Motion, joined, mirror
+from motionlab.motion import Motion, mirror
 
 EVERY = 6  # frames between the poses that are compared: five a second
 NEAR = 0.05  # share of held-out windows that are nearer to training motion than what counts as no copy
@@ -21,7 +21,9 @@ def nearest(sets: Mapping[str, Motion], library: Sequence[Motion]) -> dict[str, 
 
     Windows are compared by joints in the heading frame of their first frame, so neither place nor heading counts.
     """
-    queries = joined(replace(motion, contacts=None) for motion in sets.values())
+    every = [*sets.values()]
+    root, rot = (torch.cat([getattr(motion, name) for motion in every]) for name in ("root", "rot"))
+    queries = replace(every[0], root=root, rot=rot, contacts=None)
     both = torch.cat([rows(m.positions, m.root[:, 0], m.rot[:, 0, 0]) for m in (queries, mirror(queries))])
     best = torch.full((len(both),), torch.inf, dtype=torch.float64, device=both.device)
     for motion in library:

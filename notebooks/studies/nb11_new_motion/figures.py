@@ -10,7 +10,7 @@ from torch import Generator, Tensor
 
 from motionlab import viz
 from motionlab.body import BodyModel
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 from motionlab.motion import Motion
 from motionlab.viz.movie import Film, drawn, stage, write_film
 from motionlab.viz.palette import INK, LINE, colour

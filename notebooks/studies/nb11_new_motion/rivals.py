@@ -8,7 +8,7 @@ from torch import Tensor
 
 from motionlab import rotation
 from motionlab.animate.foot_locking import lock_feet
-from motionlab.bench.judge import Rivals
+from motionlab.bench import Rivals
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer
 from motionlab.heading import Frame, heading_frame, local_to_world, world_to_local, world_to_local_positions

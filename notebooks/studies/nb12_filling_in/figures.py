@@ -9,7 +9,7 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from motionlab.bench.judge import energy_score
+from motionlab.bench import energy_score
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from motionlab.viz.palette import INK, LINE, colour

@@ -11,10 +11,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from motionlab import baselines
-from motionlab.bench import cases
-from motionlab.bench.cases import PersonWindows
-from motionlab.metrics.pose import joint_errors, masked_mean
+from motionlab import baselines, bench
+from motionlab.bench import PersonWindows
+from motionlab.metrics import joint_errors, masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.shared.fill_contenders import BLENDED, LEFT, MIXED, PLAIN, Models, P, R, T
@@ -40,8 +39,8 @@ def cures(m: Models, windows: PersonWindows, known: Tensor, seed: int = 0) -> di
     left, mixed, blended = (m.plain(truth, given, way, seed) for way in (LEFT, MIXED, BLENDED))
     made = {P: left, FADED: mixed, SOFT: blended, "curves": m.curves(truth, known)}
     made |= {R: m.r.complete(truth, given), T: m.drawn(truth, given, seed)}
-    exact = {name: cases.restore_known(motion, truth, known | lacks) for name, motion in made.items()}
-    return {"truth": truth, OPEN: cases.restore_known(left, truth, lacks.expand_as(known))} | exact
+    exact = {name: bench.restore_known(motion, truth, known | lacks) for name, motion in made.items()}
+    return {"truth": truth, OPEN: bench.restore_known(left, truth, lacks.expand_as(known))} | exact
 
 
 def seams(made: Mapping[str, Motion], known: Tensor) -> dict[str, dict[str, Tensor]]:
@@ -55,13 +54,13 @@ def seams(made: Mapping[str, Motion], known: Tensor) -> dict[str, dict[str, Tens
         jump = masked_mean(change, frames[:, 1:] != frames[:, :-1], 1)
         moved = joint_errors(motion.positions, truth.positions, align="none").where(frames[..., None], 0.0)
         off = 100 * moved.amax((-1, -2))
-        found[name] = {JUMP: jump, LARGE: jump / level, OFF: off, LEAVES: cases.error_cm(motion, truth, known)}
+        found[name] = {JUMP: jump, LARGE: jump / level, OFF: off, LEAVES: bench.error_cm(motion, truth, known)}
     return found
 
 
 def off_the_line(made: Motion, truth: Motion, known: Tensor) -> Tensor:
     """Metres (B,) of the gap's joints from straight lines and slerp between its edges."""
-    line = baselines.interpolate(truth, known[..., : cases.JOINTS]).positions
+    line = baselines.interpolate(truth, known[..., : bench.JOINTS]).positions
     inside = (~known[..., :1]).expand(line.shape[:-1])
     return masked_mean(joint_errors(made.positions, line, align="none"), inside, 2)
 
@@ -93,9 +92,9 @@ def reversals(m: Models, walks: PersonWindows) -> dict[tuple[str, bool], Tensor]
     not, NaN where that one goes slower than ``_PACE``: nobody walks."""
     motion, _, lacks = walks
     true = stance_speed(motion)
-    given = cases.legs(len(motion.root), FRAMES)
+    given = bench.legs(len(motion.root), FRAMES)
     hidden = given.clone()
-    hidden[..., cases.JOINTS] = False
+    hidden[..., bench.JOINTS] = False
     found = {}
     for path, known in ((True, given & ~lacks), (False, hidden & ~lacks)):
         made = {P: m.plain(motion, known, PLAIN, 0), R: m.r.complete(motion, known), T: m.drawn(motion, known, 0)}

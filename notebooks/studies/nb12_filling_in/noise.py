@@ -9,17 +9,17 @@ Source: thesis 4.2.1; SDEdit (Meng et al. 2022), which adds all of the noise its
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import torch
 from torch import Tensor
 
+from motionlab import baselines, bench
 from motionlab.baselines import Noise, denoised
-from motionlab.bench import cases, judge
-from motionlab.bench.cases import by_person
-from motionlab.bench.judge import RIDGES, noise_size
+from motionlab.bench import RIDGES, Rivals, by_person
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, sampling
-from motionlab.diffusion.features import UNITS
+from motionlab.diffusion.features import UNITS, Layout, Normaliser
 from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.heading import local_to_world, stuck_root, world_to_local
@@ -41,6 +41,15 @@ class ReverseProcess:
     topped: bool = True
     looks: int = 1
     filtered: bool = False
+
+
+def noise_size(layout: Layout, normaliser: Normaliser, turn: float, shift: float) -> Tensor:
+    """Computes the deviation (D,) of each normalised number from noise of ``turn`` radians about each axis of a joint
+    and ``shift`` metres: a turned column of length 1 moves by sqrt(2 / 3) turn in each coordinate."""
+    size = torch.zeros(layout.size)
+    for name, part in layout.slices.items():
+        size[part] = {"root": shift, "orient": (2 / 3) ** 0.5 * turn, "pose": (2 / 3) ** 0.5 * turn}.get(name, 0.0)
+    return size / normaliser.scale
 
 
 def _begin(schedule: NoiseSchedule, size: float) -> int:
@@ -74,7 +83,35 @@ def denoise(
     return local_to_world(frame, model.decode(total / start.looks, noisy.skeleton))
 
 
+def wiener(rivals: Rivals, motion: Motion, rough: Motion, noise: Noise) -> Motion:
+    """The Gaussian's best guess of a motion (B, T) with this noise. rough: about the same motion, less noisy at its
+    first frame, which the frame of reference is taken from."""
+    frame = stuck_root(rough)[1]
+    weight = rivals.ridge + noise_size(rivals.layout, rivals.normaliser, noise.turn, noise.shift).square()
+    z = rivals.explained(rivals.encode_in(frame, motion) - rivals.mean_row, (1 / weight).repeat(motion.frames))
+    return rivals.decode_in(frame, rivals.mean_row + z @ rivals.factor.mT, motion)
+
+
+def filtered(motion: Motion, name: str, **settings: float) -> Motion:
+    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres.
+
+    The Kalman smoother's strength of acceleration is per unit of noise.
+    """
+    apply, _ = FILTERS[name]
+    return baselines.smooth(motion, lambda x: apply(x, motion.fps, **settings))
+
+
 FILTER, GAUSSIAN = "filter", "Gaussian"
+FILTERS: Mapping[str, tuple[Callable, Mapping[str, Sequence]]] = {
+    "Savitzky-Golay": (
+        lambda x, fps, **settings: baselines.savitzky_golay(x, **settings),
+        {"window": (5, 7, 9, 13, 17, 21), "degree": (2, 3)},
+    ),
+    "one euro": (baselines.one_euro, {"min_cutoff": (0.5, 1.0, 2.0, 4.0, 8.0), "beta": (0.0, 1.0, 4.0)}),
+    "Kalman smoother": (  # only their ratio matters
+        baselines.kalman, {"noise": (1.0,), "acceleration": (3.0, 10.0, 30.0, 100.0, 300.0)}
+    ),
+}  # fmt: skip
 #: Degrees about each axis of every joint, centimetres of the root, correlation of one frame with the next: 0.935 is
 #: forgotten in half a second.
 NOISES: Mapping[str, tuple[float, ...]] = {
@@ -92,13 +129,13 @@ def contest(title: str, m: Models, cast: Cast, starts: Sequence[ReverseProcess])
     """Everybody on one of ``NOISES``: errors of all joints, their settings chosen on the validation people."""
     noise = Noise.of(*NOISES[title])
     noisy = [noise.on(w.motion, torch.Generator().manual_seed(k)) for k, w in enumerate((cast.val, cast.test))]
-    tuned = {n: judge.tune(n, noisy[0], cast.val.motion) for n in judge.FILTERS}
-    best = cases.chosen(list(tuned), lambda n: judge.filtered(noisy[0], n, **tuned[n]), cast.val.motion)
-    rough = [judge.filtered(x, best, **tuned[best]) for x in noisy]
+    settings = [(n, dict(zip(by, x, strict=True))) for n, (_, by) in FILTERS.items() for x in product(*by.values())]
+    best, tuned = min(settings, key=lambda s: float(_off(filtered(noisy[0], s[0], **s[1]), cast.val.motion).mean()))
+    rough = [filtered(x, best, **tuned) for x in noisy]
 
     ways: dict[str, tuple[Callable[[int, object], Motion], Sequence]] = {
-        FILTER: (lambda k, _: rough[k], (f"{best} {tuned[best]}",)),
-        GAUSSIAN: (lambda k, w: replace(m.rivals, ridge=w).wiener(noisy[k], rough[k], noise.turn, noise.shift), RIDGES),
+        FILTER: (lambda k, _: rough[k], (f"{best} {tuned}",)),
+        GAUSSIAN: (lambda k, w: wiener(replace(m.rivals, ridge=w), noisy[k], rough[k], noise), RIDGES),
         R: (lambda k, _: _corrected(noisy[k], noise), ("completer_rough",)),
         P: (lambda k, s: denoise(m.p, noisy[k], rough[k], noise, torch.Generator().manual_seed(k), s), starts),
     }
@@ -119,4 +156,4 @@ def _corrected(noisy: Motion, noise: Noise) -> Motion:
 
 def _off(made: Motion, truth: Motion) -> Tensor:
     nothing = torch.zeros(*truth.root.shape[:2], UNITS, dtype=torch.bool)
-    return cases.error_cm(made, truth, nothing)
+    return bench.error_cm(made, truth, nothing)

@@ -9,7 +9,7 @@ from operator import sub, truediv
 import torch
 from torch import Tensor
 
-from motionlab.bench.cases import PersonWindows, by_person
+from motionlab.bench import PersonWindows, by_person
 from motionlab.motion import Motion
 from studies.nb12_filling_in import flaws, noise, switching
 from studies.shared import fill_bench as bench

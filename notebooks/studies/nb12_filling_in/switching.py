@@ -10,16 +10,14 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from motionlab import rotation
+from motionlab import bench, rotation
 from motionlab.animate.foot_locking import lock_feet
-from motionlab.bench import cases
-from motionlab.bench.cases import PersonWindows
+from motionlab.bench import PersonWindows
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.heading import heading_frame, local_to_world, world_to_local
-from motionlab.metrics.gait import skating_ratio
-from motionlab.metrics.pose import mean_acceleration
+from motionlab.metrics import mean_acceleration, skating_ratio
 from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
 from studies.nb12_filling_in.flaws import step_changes
@@ -65,7 +63,7 @@ def asked(a: Motion, b: Motion) -> tuple[Motion, Tensor]:
     hold = before.cut(-1)
     root = torch.cat((before.root, hold.root.repeat(1, GAP, 1), there.root), 1)
     rot = torch.cat((before.rot, hold.rot.repeat(1, GAP, 1, 1, 1), there.rot), 1)
-    return with_contacts(replace(a, root=root, rot=rot, contacts=None)), cases.gap(len(root), FRAMES, GAP)
+    return with_contacts(replace(a, root=root, rot=rot, contacts=None)), bench.gap(len(root), FRAMES, GAP)
 
 
 def cut_and_faded(a: Motion, b: Motion) -> Motion:
@@ -104,7 +102,7 @@ def everybody(m: Models, a: PersonWindows, b: Motion) -> dict[str, Motion]:
     given, known = asked(a.motion, b)
     told, cut = known & ~a.lacks, cut_and_faded(a.motion, b)
     made = {R: m.r.complete(given, told), T: m.drawn(given, told, 0), P: m.plain(given, told, MIXED, 0)}
-    made = {name: cases.restore_known(x, given, known | a.lacks) for name, x in made.items()}
+    made = {name: bench.restore_known(x, given, known | a.lacks) for name, x in made.items()}
     made = {RIVALS[1]: cut, RIVALS[2]: m.curves(given, known)} | made
     how = {"known": known[..., 0], "ease": _EASE * cut.fps, "step": True}  # as the product does
     return {RIVALS[0]: cut} | {name: lock_feet(with_contacts(x), **how) for name, x in made.items()}

@@ -17,7 +17,7 @@ from torch import Tensor
 from data_synth import corpus as synthetic
 from data_synth import scenes
 from motionlab import corpus, splits
-from motionlab.bench.cases import person_windows
+from motionlab.bench import person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.poses import Poser
 from motionlab.heading import stuck_root

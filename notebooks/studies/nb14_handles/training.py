@@ -16,7 +16,7 @@ from torch import Tensor
 from motionlab.diffusion.poses import NUMBERS, Poser, PoseRecipe
 from motionlab.diffusion.windows import Windows
 from motionlab.heading import stuck_root
-from motionlab.metrics.pose import masked_mean
+from motionlab.metrics import masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from motionlab.training.training_loop import fast_halves, warmed_cosine

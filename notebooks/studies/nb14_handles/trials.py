@@ -7,9 +7,9 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
-from motionlab.bench.cases import by_person
+from motionlab.bench import by_person
 from motionlab.diffusion.poses import NUMBERS, Poser, finished
-from motionlab.metrics.pose import masked_mean
+from motionlab.metrics import masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.nb14_handles.people import SETS, Known, Poses, handles

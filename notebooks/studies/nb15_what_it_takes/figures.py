@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from torch import Generator, Tensor
 
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 from studies.shared.fill_contenders import GAUSSIAN, R, T
 from studies.shared.plots import canvas, paints
 

@@ -18,10 +18,8 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
-from motionlab import corpus, splits
-from motionlab.bench import judge
-from motionlab.bench.cases import PersonWindows, person_windows
-from motionlab.bench.judge import CASES, FRAMES, Fill
+from motionlab import bench, corpus, splits
+from motionlab.bench import CASES, FRAMES, Fill, PersonWindows, person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.completer import CompleterRecipe
 from motionlab.diffusion.windows import gather, on_standard
@@ -58,7 +56,7 @@ def trained(takes: Sequence[Take], seed: int, val: PersonWindows, test: PersonWi
     data = gather(motions, FRAMES, missing=[t.missing for t in takes], people=people)
 
     def legs(fill: Fill, windows: PersonWindows, lacking: bool = False) -> list[float]:
-        return judge.judged(fill, CASES[LEGS], windows, show_missing=lacking)["cm"].tolist()
+        return bench.judged(fill, CASES[LEGS], windows, show_missing=lacking)["cm"].tolist()
 
     run, best = CompleterTraining(replace(COMPLETER, seed=seed), data), float("inf")
     while run.step < run.recipe.steps:
@@ -66,8 +64,8 @@ def trained(takes: Sequence[Take], seed: int, val: PersonWindows, test: PersonWi
         if (error := sum(legs(run.averaged.complete, val))) < best:
             best, step, model = error, run.step, run.averaged
     generator = torch.Generator().manual_seed(seed)
-    fitted = judge.Rivals.fit(replace(data.draw(RIDGE_ROWS, generator), skeleton=STANDARD), generator)
-    ridges = {width: replace(fitted, ridge=width).regression for width in judge.RIDGES}
+    fitted = bench.Rivals.fit(replace(data.draw(RIDGE_ROWS, generator), skeleton=STANDARD), generator)
+    ridges = {width: replace(fitted, ridge=width).regression for width in bench.RIDGES}
     width = min(ridges, key=lambda width: sum(legs(ridges[width], val, True)))
     found = {"step": step, "ridge's width": width}
     for part, windows in (("val", val), ("test", test)):

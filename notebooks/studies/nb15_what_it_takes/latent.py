@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor, nn
 
-from motionlab.bench.cases import PersonWindows
+from motionlab.bench import PersonWindows
 from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule, ddpm
 from motionlab.motion import Motion

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab import corpus, splits
-from motionlab.bench import cases
-from motionlab.bench.cases import PersonWindows, by_person
+from motionlab import bench, corpus, splits
+from motionlab.bench import PersonWindows, by_person
 from motionlab.contact import with_contacts
 from motionlab.diffusion.features import units
 from motionlab.diffusion.model import MotionDiffusion
@@ -39,7 +38,7 @@ class Rows(NamedTuple):
 
 def rows(model: MotionDiffusion, motion: Motion, whose: Tensor, lacks: Tensor) -> Rows:
     """Windows (N, T) whose legs are hidden. lacks (N, 1, U): joints that a figure does not have."""
-    kept = (cases.legs(len(whose), motion.frames) | lacks)[..., units(model.layout)]
+    kept = (bench.legs(len(whose), motion.frames) | lacks)[..., units(model.layout)]
     labelled = with_contacts(motion) if motion.contacts is None else motion
     return Rows(model.encode(labelled).flatten(1), whose, kept.flatten(1))
 
@@ -55,7 +54,7 @@ def teachers(model: MotionDiffusion, cast: Cast, folder: Path | str | None, each
         of_clip = [people.index(name) for name in names] + [-1] * (int(whose.max()) + 1)  # synthetic clips come last
         whose = torch.tensor(of_clip)[whose]
     some = torch.cat([(whose == k).nonzero()[:each, 0] for k in whose.unique() if k >= 0])
-    lacks = torch.zeros(len(some), 1, cases.JOINTS + 2, dtype=torch.bool)
+    lacks = torch.zeros(len(some), 1, bench.JOINTS + 2, dtype=torch.bool)
     return rows(model, cast.learnt.clip(some), whose[some].unique(return_inverse=True)[1], lacks)
 
 
@@ -68,7 +67,7 @@ def filled(model: MotionDiffusion, some: Rows, guess: Tensor) -> Motion:
 def left_cm(model: MotionDiffusion, some: Rows, guess: Tensor) -> Tensor:
     """What is left of each person (P,): mean distance of knees, ankles and feet from the true ones, cm."""
     made, truth = (filled(model, some, x) for x in (guess, some.x))
-    return by_person(cases.error_cm(made, truth, cases.legs(len(some.x), FRAMES), cases.LOWER), some.whose)
+    return by_person(bench.error_cm(made, truth, bench.legs(len(some.x), FRAMES), bench.LOWER), some.whose)
 
 
 def roles(made: Mapping[str, Motion]) -> dict[str, str]:

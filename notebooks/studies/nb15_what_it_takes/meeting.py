@@ -11,7 +11,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from motionlab.bench import cases
+from motionlab.bench import LOWER, legs
 from motionlab.humor.energies import KEYPOINTS
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
@@ -50,7 +50,7 @@ def met(
     """Stages 2 and 3 (the faster solver's), and what each of ``fills`` makes of stage 2's upper body: motions (B, T);
     and seconds of a window that each took behind stage 2. whole: False: few steps, to see that it runs."""
     count, seen = len(truth.root), torch.ones(truth.positions.shape[:-1], dtype=torch.bool)
-    seen[..., STANDARD.indices(cases.LOWER)] = False
+    seen[..., STANDARD.indices(LOWER)] = False
     places = Observation3D(torch.where(seen[..., None], truth.positions, 0.0), seen, truth.fps, "legs hidden")
     how = {"schedule": Schedule.lean() if whole else Schedule.quick(), "weights": KEYPOINTS, "solver": "shooting"}
     fitted = fit(places, priors, **how)
@@ -60,6 +60,6 @@ def met(
     start, made = Motion(STANDARD, two.root, two.rot, two.fps, contacts), {STAGE_2: two, STAGE_3: fitted.stages[3]}
     for name, fill in fills.items():
         began = time.perf_counter()
-        made[name] = fill(start, cases.legs(count, truth.frames))
+        made[name] = fill(start, legs(count, truth.frames))
         took[name] = (time.perf_counter() - began) / count
     return made, took

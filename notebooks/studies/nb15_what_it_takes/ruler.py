@@ -7,7 +7,7 @@ import torch
 from torch import Generator, Tensor
 
 from motionlab import rotation
-from motionlab.bench.cases import PersonWindows
+from motionlab.bench import PersonWindows
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
 from studies.shared.generated import Judged, frechet, pseudo, shares

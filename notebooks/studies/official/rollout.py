@@ -17,7 +17,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
-from motionlab.humor.cvae import Cvae, Gaussian, Mlp
+from motionlab.humor.priors import Cvae, Gaussian, Mlp
 from motionlab.humor.rollout import Rollout
 from motionlab.humor.state import SHAPES, STATE, TURNED, unpack, unpack_delta
 from studies.official.rotation import alignment, axis_angle_to_matrix

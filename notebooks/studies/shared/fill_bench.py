@@ -10,9 +10,8 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from motionlab.bench import cases, judge
-from motionlab.bench.cases import JOINTS, PersonWindows, by_person
-from motionlab.bench.judge import Case, energy_score
+from motionlab import bench
+from motionlab.bench import JOINTS, Case, PersonWindows, by_person, energy_score
 from motionlab.motion import Motion
 from studies.shared.fill_contenders import Contender
 from studies.shared.fill_people import FRAMES, Cast, only, some
@@ -23,9 +22,10 @@ Scores = dict[str, Tensor]  # measure -> (N,) of windows, NaN where it was not m
 
 @dataclass(frozen=True, eq=False)
 class Asked(Case):
-    """several: there is more than one answer, so that draws are worth their time. scattered: every window has a mask
-    of its own."""
+    """edges: it has some in time. several: there is more than one answer, so that draws are worth their time.
+    scattered: every window has a mask of its own."""
 
+    edges: bool = False
     several: bool = False
     scattered: bool = False
 
@@ -43,22 +43,22 @@ def _seeded(make: Callable, *how: float) -> Callable[[int], Tensor]:
     return lambda count: make(count, *how, torch.Generator().manual_seed(7))
 
 
-_OTHERS = partial(_seeded, cases.every_frame, FRAMES)
+_OTHERS = partial(_seeded, bench.every_frame, FRAMES)
 _in_time = {"edges": True, "scattered": True}
 HIDDEN, GAP, HALF, QUARTER = "legs hidden", "gap of 30 frames", "half of the joints", "a quarter of the joints"
 EACH_HALF, EACH_QUARTER = "other joints each frame: half", "other joints each frame: a quarter"
 LOST, SHORT, LONG, KEYS = "joints lost 0.3-1 s", "gap of 15 frames", "gap of 45 frames", "every 15th frame"
 CASES: Mapping[str, Asked] = {
-    HIDDEN: Asked(judge.CASES[HIDDEN].mask, cases.LOWER, several=True),
+    HIDDEN: Asked(bench.CASES[HIDDEN].mask, bench.LOWER, several=True),
     EACH_HALF: Asked(_OTHERS(0.5), **_in_time),
     EACH_QUARTER: Asked(_OTHERS(0.25), **_in_time),
     LOST: Asked(_seeded(lost), **_in_time),
-    HALF: Asked(judge.CASES[HALF].mask, scattered=True, several=True),
-    QUARTER: Asked(judge.CASES[QUARTER].mask, scattered=True, several=True),
-    SHORT: Asked(lambda n: cases.gap(n, FRAMES, 15), edges=True),
-    GAP: Asked(judge.CASES[GAP].mask, edges=True, several=True),
-    LONG: Asked(judge.CASES[LONG].mask, edges=True, several=True),
-    KEYS: Asked(judge.CASES[KEYS].mask, edges=True),
+    HALF: Asked(bench.CASES[HALF].mask, scattered=True, several=True),
+    QUARTER: Asked(bench.CASES[QUARTER].mask, scattered=True, several=True),
+    SHORT: Asked(lambda n: bench.gap(n, FRAMES, 15), edges=True),
+    GAP: Asked(bench.CASES[GAP].mask, edges=True, several=True),
+    LONG: Asked(bench.CASES[LONG].mask, edges=True, several=True),
+    KEYS: Asked(bench.CASES[KEYS].mask, edges=True),
 }
 
 
@@ -111,7 +111,7 @@ def made_by(who: Contender, setting: object, known: Tensor, windows: PersonWindo
     """Draws of windows; nobody is asked for what a figure lacks."""
     motion, _, lacks = windows
     given = known if who.told else known & ~lacks
-    return [cases.restore_known(who.fill(motion, given, setting, k), motion, known | lacks) for k in range(draws)]
+    return [bench.restore_known(who.fill(motion, given, setting, k), motion, known | lacks) for k in range(draws)]
 
 
 def scored(who: Contender, setting: object, case: Asked, windows: PersonWindows) -> Scores:
@@ -121,11 +121,11 @@ def scored(who: Contender, setting: object, case: Asked, windows: PersonWindows)
     rows = torch.arange(count) if case.several or not who.few else some(windows, who.few)
     part, known = only(windows, rows), case.mask(count)[rows]  # a mask is that of the window's place in all
     made = made_by(who, setting, known, part, who.draws if case.several else 1)
-    error = torch.stack([cases.error_cm(m, part.motion, known, case.joints) for m in made]).mean(0)
+    error = torch.stack([bench.error_cm(m, part.motion, known, case.joints) for m in made]).mean(0)
     score = energy_score(made, part.motion, known, case.joints)
     found = {
         ERROR: error, SCORE: score, SPREAD: 2 * (error - score) / error,
-        SHAKE: torch.stack([cases.acceleration_ratio(m, part.motion) for m in made]).mean(0),
+        SHAKE: torch.stack([bench.acceleration_ratio(m, part.motion) for m in made]).mean(0),
         WAY: torch.stack([path_m(m, known) for m in made]).mean(0),
     }  # fmt: skip
     return {k: torch.full((count,), torch.nan).index_put((rows,), x.float()) for k, x in found.items()}
@@ -133,7 +133,7 @@ def scored(who: Contender, setting: object, case: Asked, windows: PersonWindows)
 
 def path_m(motion: Motion, known: Tensor) -> Tensor:
     """Metres (B,) that the root goes over the floor in hidden frames, and into and out of them."""
-    hidden = cases.hidden_frames(known)
+    hidden = bench.hidden_frames(known)
     steps = motion.root[..., :2].diff(dim=1).norm(dim=-1)
     return (steps * (hidden[:, 1:] | hidden[:, :-1])).sum(1)
 

@@ -12,12 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from motionlab.baselines import interpolate
-from motionlab.bench.judge import RIDGES, Rivals
+from motionlab.bench import RIDGES, Rivals
 from motionlab.diffusion import completer, features
 from motionlab.diffusion.completer import Completer, guess
 from motionlab.diffusion.features import units
-from motionlab.diffusion.inpainting import Inpainting, inpaint
 from motionlab.diffusion.model import MotionDiffusion, motion_model
+from motionlab.diffusion.sampling import Inpainting
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import Motion
 from motionlab.training.training_loop import fast_halves
@@ -77,7 +77,7 @@ class Models:
     def plain(self, motion: Motion, known: Tensor, way: Inpainting, seed: int) -> Motion:
         """One draw of P."""
         way = replace(way, steps=min(way.steps, self.most))
-        return inpaint(self.p, motion, known[..., units(self.p.layout)], torch.Generator().manual_seed(seed), way)
+        return self.p.inpaint(motion, known[..., units(self.p.layout)], torch.Generator().manual_seed(seed), way)
 
     def curves(self, motion: Motion, known: Tensor) -> Motion:
         """What R adds to: smooth curves through what is known."""

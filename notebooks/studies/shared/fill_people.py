@@ -14,7 +14,7 @@ from torch import Tensor
 
 from data_synth import corpus as synthetic
 from motionlab import corpus, splits
-from motionlab.bench.cases import PersonWindows, person_windows
+from motionlab.bench import PersonWindows, person_windows
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import gather, on_standard

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import torch
 
-from motionlab.bench import cases
-from motionlab.bench.cases import PersonWindows
-from motionlab.bench.judge import Case
+from motionlab import bench
+from motionlab.bench import Case, PersonWindows
 from motionlab.motion import Motion
 from studies.shared.fill_bench import CASES, ERROR, Bench, made_by
 from studies.shared.fill_contenders import Contender, Models, R, T
@@ -34,8 +33,8 @@ def panels(
 def asked_of(what: str, seconds: float) -> Case:
     """What a person hides: "legs", or "gap" of so many seconds in the middle."""
     if what == "legs":
-        return Case(lambda n: cases.legs(n, FRAMES), cases.LOWER)
-    return Case(lambda n: cases.gap(n, FRAMES, min(round(30 * seconds), FRAMES - 2)), edges=True)
+        return Case(lambda n: bench.legs(n, FRAMES), bench.LOWER)
+    return Case(lambda n: bench.gap(n, FRAMES, min(round(30 * seconds), FRAMES - 2)))
 
 
 def filled(m: Models, window: PersonWindows, case: Case, seed: int) -> tuple[dict[str, Motion], dict[str, float]]:
@@ -44,11 +43,11 @@ def filled(m: Models, window: PersonWindows, case: Case, seed: int) -> tuple[dic
     known = case.mask(1)
     given = known & ~lacks
     made = {"curves": m.curves(motion, known), R: m.r.complete(motion, given), T: m.drawn(motion, given, seed)}
-    made = {name: cases.restore_known(x, motion, known | lacks) for name, x in made.items()}
-    return made, {name: float(cases.error_cm(x, motion, known, case.joints)) for name, x in made.items()}
+    made = {name: bench.restore_known(x, motion, known | lacks) for name, x in made.items()}
+    return made, {name: float(bench.error_cm(x, motion, known, case.joints)) for name, x in made.items()}
 
 
 def single(motion: Motion) -> PersonWindows:
     """A clip (T) on the standard body as one window of one person that lacks nothing."""
     window = replace(motion, root=motion.root[None], rot=motion.rot[None], contacts=None)
-    return PersonWindows(window, torch.zeros(1).long(), torch.zeros(1, 1, cases.JOINTS + 2).bool())
+    return PersonWindows(window, torch.zeros(1).long(), torch.zeros(1, 1, bench.JOINTS + 2).bool())

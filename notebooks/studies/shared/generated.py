@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motionlab.bench.cases import by_person
+from motionlab import metrics
+from motionlab.bench import by_person
 from motionlab.diffusion.encoder import motion_encoder
-from motionlab.metrics import generation
-from motionlab.metrics.intervals import interval
+from motionlab.metrics import interval
 from motionlab.motion import Motion
 from studies.shared import small_measures
 
@@ -62,7 +62,7 @@ def shares(made: Judged, real: Judged, whose: Tensor) -> dict[str, Tensor]:
 
 def frechet(made: Judged, real: Judged) -> float:
     """The Frechet distance of the features."""
-    return generation.frechet(made.latent, real.latent)
+    return metrics.frechet(made.latent, real.latent)
 
 
 def ratio(name: str) -> Callable[[Judged, Judged], float]:

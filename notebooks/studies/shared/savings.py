@@ -23,11 +23,10 @@ from torch import Tensor
 from motionlab.heading import heading_frame
 from motionlab.humor import rollout, stages, state
 from motionlab.humor.body_shape import landmarks
-from motionlab.humor.cvae import Cvae, Gaussian
 from motionlab.humor.evidence import Evidence
-from motionlab.humor.priors import Priors
+from motionlab.humor.priors import Cvae, Gaussian, Priors
 from motionlab.humor.stages import Problem
-from motionlab.humor.unknowns import Parametrisation, Posed, Rolled, Unknowns, skeleton_of, to_matrix
+from motionlab.humor.unknowns import Posed, Rolled, Unknowns, skeleton_of, to_matrix
 from motionlab.skeleton import fk
 from studies.official import rollout as official_rollout
 from studies.official.body import body_joints_by_lbs, first_joints_by_lbs
@@ -156,9 +155,8 @@ class _Body:
 
 def first_state(unknown: Unknowns, priors: Priors, body: _Body) -> Tensor:
     """x0 (B, 339), world. orient: 6 numbers or a rotation vector."""
-    each = unknown.per_window()
-    trans, orient = each.trans, each.orient
-    decoded = body.form(priors.pose.decode(each.latent))
+    trans, orient = unknown.trans, unknown.orient
+    decoded = body.form(priors.pose.decode(unknown.latent))
     if body.on.matrices:
         root = to_matrix(orient)
     else:
@@ -168,19 +166,18 @@ def first_state(unknown: Unknowns, priors: Priors, body: _Body) -> Tensor:
         joints = body.first(trans, pose)
     rot = body.rot(pose)
     parts = {"trans": trans, "root_orient": rot[:, 0], "pose_body": rot[:, 1:], "joints": joints}
-    speeds = {"trans_vel": each.trans_vel, "root_orient_vel": each.root_orient_vel}
-    return state.pack(parts | speeds | {"joints_vel": each.joints_vel.unflatten(-1, (22, 3))})
+    speeds = {"trans_vel": unknown.trans_vel, "root_orient_vel": unknown.root_orient_vel}
+    return state.pack(parts | speeds | {"joints_vel": unknown.joints_vel.unflatten(-1, (22, 3))})
 
 
 def body_of(unknown: Unknowns, evidence: Evidence, on: Savings) -> _Body:
     """The body that a closure asks, as :func:`first_state` takes it. The evidence is that of the whole clip."""
-    each = unknown.per_window()
-    return _Body(on, each.betas, max(evidence.values.shape[1], each.z.shape[1] + 1))
+    return _Body(on, unknown.betas, max(evidence.values.shape[1], unknown.z.shape[1] + 1))
 
 
 def roll_out(unknown: Unknowns, priors: Priors, first: Tensor, body: _Body) -> tuple[Tensor, rollout.Rollout, Tensor]:
     """From the first state: states (B, T, 339), the roll-out, and poses in the body's own form."""
-    rolled = chain(priors.motion, first, unknown.per_window().z, body.on)
+    rolled = chain(priors.motion, first, unknown.z, body.on)
     states = torch.cat((first[:, None], rolled.states), 1)
     parts = state.unpack(states)
     return states, rolled, body.form(torch.cat((parts["root_orient"][..., None, :, :], parts["pose_body"]), -3))
@@ -188,7 +185,7 @@ def roll_out(unknown: Unknowns, priors: Priors, first: Tensor, body: _Body) -> t
 
 def posed(unknown: Unknowns, evidence: Evidence, states: Tensor, pose: Tensor, body: _Body) -> Posed:
     """Joints and landmarks of all frames, and where the camera sees them."""
-    trans, camera = states[..., state.SLICES["trans"]], unknown.per_window().camera
+    trans, camera = states[..., state.SLICES["trans"]], unknown.camera
     joints, marks = body.sequence(trans, pose)
     if not body.on.needed_frames:
         marks = body.sequence(trans, pose)[1]
@@ -208,17 +205,16 @@ def roll(unknown: Unknowns, priors: Priors, evidence: Evidence, on: Savings, mar
 
 
 def official_pose(unknown: Unknowns, priors: Priors, evidence: Evidence) -> Posed:
-    """Stages 1 and 2 at the official price, arguments as ``unknowns.pose``; orient (G, W, T, 3)."""
-    each = unknown.per_window()
-    body = matrix_to_axis_angle(priors.pose.decode(each.latent))
-    pose = torch.cat((each.orient[..., None, :], body), -2)
-    joints, marks = body_joints_by_lbs(each.trans, pose, each.betas)
-    seen = joints if evidence.view is None else evidence.view.pixels(marks, each.camera)
-    return Posed(each.trans, pose_from_axis_angle(pose), joints, seen, each.betas, each.camera)
+    """Stages 1 and 2 at the official price, arguments as ``unknowns.pose``; orient (B, T, 3)."""
+    body = matrix_to_axis_angle(priors.pose.decode(unknown.latent))
+    pose = torch.cat((unknown.orient[..., None, :], body), -2)
+    joints, marks = body_joints_by_lbs(unknown.trans, pose, unknown.betas)
+    seen = joints if evidence.view is None else evidence.view.pixels(marks, unknown.camera)
+    return Posed(unknown.trans, pose_from_axis_angle(pose), joints, seen, unknown.betas, unknown.camera)
 
 
-#: For a fit in official mode: what the official code does, at its price.
-OFFICIAL = Parametrisation(official_pose, partial(roll, on=FAITHFUL))
+#: Fields of a ``Problem`` in official mode: what the official code does, at its price.
+OFFICIAL = {"mode": "official", "pose": official_pose, "roll": partial(roll, on=FAITHFUL)}
 
 
 def terms(
@@ -228,7 +224,7 @@ def terms(
     with weights_of(problem.priors, on):
         rolled = roll(unknown, problem.priors, problem.evidence, on, mark)
         with mark("terms"):
-            return stages.rolled_terms(problem, unknown, rolled, **how)
+            return stages.rolled_terms(problem, rolled, **how)
 
 
 def closure(problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = nullcontext, **how) -> Tensor:
@@ -251,9 +247,8 @@ def chain_alone(problem: Problem, unknown: Unknowns, on: Savings) -> Callable[[]
 
     Gradients go to the first state and to z, and to the weights where they are not frozen.
     """
-    priors, each = problem.priors, unknown.per_window()
-    z = each.z.detach().requires_grad_()
-    body = _Body(on, each.betas, z.shape[1] + 1)
+    priors, z = problem.priors, unknown.z.detach().requires_grad_()
+    body = _Body(on, unknown.betas, z.shape[1] + 1)
     with torch.no_grad():
         first = first_state(unknown, priors, body)
     first.requires_grad_()

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from motionlab.metrics import gait, pose
+from motionlab import metrics
 from motionlab.motion import Motion
 from motionlab.skeleton import FEET
 
@@ -19,6 +19,6 @@ def unsupported(motion: Motion) -> Tensor:
 
 
 def seated(motion: Motion, when: Tensor) -> Tensor:
-    """Computes who sits, 1 or 0 (B,), in frames (B, T): thighs and knees bent by ``gait.SEATED`` and the trunk ``SEAT``
-    behind the feet, means over the frames. Who crouches bends the legs as much, over the feet."""
-    return gait.sits(motion, when=when) * (pose.masked_mean(unsupported(motion), when, 1) >= SEAT)
+    """Computes who sits, 1 or 0 (B,), in frames (B, T): thighs and knees bent by ``metrics.SEATED`` and the trunk
+    ``SEAT`` behind the feet, means over the frames. Who crouches bends the legs as much, over the feet."""
+    return metrics.sits(motion, when=when) * (metrics.masked_mean(unsupported(motion), when, 1) >= SEAT)

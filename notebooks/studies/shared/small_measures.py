@@ -5,13 +5,13 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from motionlab.bench.cases import PersonWindows, by_person
+from motionlab import metrics
+from motionlab.bench import PersonWindows, by_person
 from motionlab.contact import resting_heights
 from motionlab.diffusion.encoder import motion_encoder
 from motionlab.diffusion.model import LEVELS, MotionDiffusion, motion_model
 from motionlab.diffusion.sampling import noise_like
 from motionlab.heading import local_to_world, stuck_root
-from motionlab.metrics import gait, generation, pose
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import BALLS, FEET, STANDARD
 
@@ -65,7 +65,7 @@ def _estimates(model: MotionDiffusion, held: PersonWindows) -> dict[str, dict[st
             "pelvis, mm": 1000 * (places - truth)[..., 0, :].norm(dim=-1).mean(1),
             "body, mm": 1000 * (about - true).norm(dim=-1).mean((1, 2)),
             "velocity, m/s": FPS * (places - truth).diff(dim=1).norm(dim=-1).mean((1, 2)),
-            "slide where feet stand, mm": gait.slide_where_truth_stands_mm(
+            "slide where feet stand, mm": metrics.slide_where_truth_stands_mm(
                 places[..., feet, :], truth[..., feet, :], still=0.005
             ),
         }
@@ -81,15 +81,15 @@ def described(made: Motion, real: Motion | None = None) -> dict[str, float]:
     found = {
         "slide, mm a frame": slide_mm(made).nanmean(), "skating, share of frames": skating(made).mean(),
         "driven": driven(made).nanmean(), "travel, m/s": travel(made).mean(),
-        "acceleration, m/s^2": pose.mean_acceleration(made.positions, FPS).mean(),
+        "acceleration, m/s^2": metrics.mean_acceleration(made.positions, FPS).mean(),
         "lower ball over the floor, mm": 1000 * (balls[..., 2].amin(-1) - STANDARD.sole).median(),
     }  # fmt: skip
     if real is not None:
         features = motion_encoder("features_real")
         x, y = features(made), features(real)
         found |= {
-            "coverage": generation.density_coverage(x, y).coverage, "frechet": generation.frechet(x, y),
-            "recall": generation.precision_recall(x, y).recall,
+            "coverage": metrics.density_coverage(x, y)[1], "frechet": metrics.frechet(x, y),
+            "recall": metrics.precision_recall(x, y)[1],
         }  # fmt: skip
     return {name: float(f"{float(value):.5g}") for name, value in found.items()}
 
@@ -98,12 +98,12 @@ def slide_mm(motion: Motion) -> Tensor:
     """mm per frame (N,) that balls of the feet move over the floor while they are down; NaN where none is."""
     balls = motion.positions[..., STANDARD.indices(BALLS), :]
     down = balls[..., 2] - STANDARD.sole < _DOWN
-    return pose.masked_mean(1000 * balls[..., :2].diff(dim=-3).norm(dim=-1), down[:, 1:] & down[:, :-1], 2)
+    return metrics.masked_mean(1000 * balls[..., :2].diff(dim=-3).norm(dim=-1), down[:, 1:] & down[:, :-1], 2)
 
 
 def skating(motion: Motion) -> Tensor:
-    """Share (N,) of frames in which a ball of a foot slides over the floor (``gait.skating_ratio``)."""
-    return gait.skating_ratio(motion.positions[..., STANDARD.indices(BALLS), :], FPS)
+    """Share (N,) of frames in which a ball of a foot slides over the floor (``metrics.skating_ratio``)."""
+    return metrics.skating_ratio(motion.positions[..., STANDARD.indices(BALLS), :], FPS)
 
 
 def travel(motion: Motion) -> Tensor:

@@ -21,8 +21,7 @@ from pathlib import Path
 import torch
 
 from motionlab import corpus, splits
-from motionlab.bench.cases import PersonWindows, person_windows
-from motionlab.bench.judge import FRAMES
+from motionlab.bench import FRAMES, PersonWindows, person_windows
 from motionlab.diffusion.model import LOSS_WEIGHTS, DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows
 from motionlab.errors import DataError

@@ -17,10 +17,9 @@ from torch import Tensor
 
 from motionlab.humor import stages, state, unknowns
 from motionlab.humor.body_shape import from_skeleton, landmarks
-from motionlab.humor.cvae import Cvae, reorder
 from motionlab.humor.energies import RGB, UNUSED_BODY_25
 from motionlab.humor.evidence import LEVEL, Evidence, View
-from motionlab.humor.priors import FIRST_STATE_SIZE, InitGmm, PosePrior, Priors
+from motionlab.humor.priors import FIRST_STATE_SIZE, Cvae, InitGmm, PosePrior, Priors, reorder
 from motionlab.humor.rollout import infer
 from motionlab.humor.unknowns import Unknowns
 from motionlab.motion import Motion
@@ -42,7 +41,9 @@ def random_priors(generator: torch.Generator, width: int = 1024) -> Priors:
                 weight.copy_((weight.ndim == 1) * 0.02 + 0.02 * torch.randn(weight.shape, generator=generator))
     reorder(models[0])  # they are drawn as official weights
     means, unit = torch.randn(12, FIRST_STATE_SIZE, generator=generator), torch.eye(FIRST_STATE_SIZE).repeat(12, 1, 1)
-    return Priors(*(model.frozen() for model in models), InitGmm(torch.full((12,), 1 / 12), means, unit))
+    return Priors(
+        *(model.eval().requires_grad_(False) for model in models), InitGmm(torch.full((12,), 1 / 12), means, unit)
+    )
 
 
 class Part(NamedTuple):
@@ -83,7 +84,7 @@ class Workload:
         """Leaves for a closure; as rotation vectors where the form of this part is written in them."""
         found = (self.moving if part.stage == 3 else self.still).named()
         if part.stage == 3:
-            found["z"] = found["z"][:, :, : part.frames - 1]
+            found["z"] = found["z"][:, : part.frames - 1]
         if not on.matrices if part.stage == 3 else on != LEAN:
             found["orient"] = unknowns.from_matrix(unknowns.to_matrix(found["orient"]), "official")
         free = {1: ("trans", "orient"), 2: tuple(found)}.get(part.stage, tuple(found))
@@ -101,8 +102,7 @@ class Workload:
         if part.stage == 3:
             how = {"grown": part.frames == self.frames, "contacts": part.contacts}
             return lambda mark=nullcontext: savings.closure(self.problem, unknown, on, mark=mark, **how)
-        faithful = {} if on == LEAN else {"mode": "official", "parametrisation": savings.OFFICIAL}
-        problem = replace(self.problem, **faithful)
+        problem = replace(self.problem, **({} if on == LEAN else savings.OFFICIAL))
 
         def pose(mark: Mark = nullcontext) -> Tensor:
             for x in unknown.named().values():
@@ -132,21 +132,18 @@ def workload(
 
     betas = from_skeleton(motion.skeleton).expand(batch, -1)
     states = state.from_motion(motion, causal=priors.motion.causal)
-    first = state.unpack(states[:, None, 0])
     shared = {"betas": betas + noise(*betas.shape, scale=0.1), "camera": noise(batch, 3, scale=0.02)}
-    still = {"trans": motion.root[:, None], "orient": unknowns.from_matrix(motion.rot[:, None, :, 0], "lean")}
-    still["latent"] = noise(batch, 1, motion.frames, 32, scale=0.5)
-    moving = {name: first[name] for name in ("trans", "trans_vel", "root_orient_vel")}
-    moving |= {"orient": unknowns.from_matrix(first["root_orient"], "lean")}
-    moving |= {"joints_vel": first["joints_vel"].flatten(-2), "latent": noise(batch, 1, 32, scale=0.5)}
-    moving["z"] = noise(batch, 1, motion.frames - 1, priors.motion.latent, scale=0.3)
+    still = {"trans": motion.root, "orient": unknowns.from_matrix(motion.rot[:, :, 0], "lean")}
+    still["latent"] = noise(batch, motion.frames, 32, scale=0.5)
+    moving = {"latent": noise(batch, 32, scale=0.5)}
+    moving["z"] = noise(batch, motion.frames - 1, priors.motion.latent, scale=0.3)
     if inferred:
         with torch.no_grad():
-            still["latent"] = priors.pose.encode(motion.rot[..., 1:, :, :]).mean[:, None]
-            moving["latent"] = still["latent"][:, :, 0]
-            moving["z"] = infer(priors.motion, states)[0].mean[:, None]
+            still["latent"] = priors.pose.encode(motion.rot[..., 1:, :, :]).mean
+            moving["latent"] = still["latent"][:, 0]
+            moving["z"] = infer(priors.motion, states)[0].mean
     problem = stages.Problem(_evidence(motion, betas, noise, generator), priors, RGB)
-    return Workload(problem, Unknowns(**still, **shared), Unknowns(**moving, **shared))
+    return Workload(problem, Unknowns(**still, **shared), unknowns.of_first_state(states[:, 0], **moving, **shared))
 
 
 def _evidence(motion: Motion, betas: Tensor, noise: Noise, generator: torch.Generator) -> Evidence:

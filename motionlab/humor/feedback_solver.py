@@ -22,9 +22,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab.errors import NotConverged, ShapeError
-from motionlab.humor.shooting.coordinates import Whitening, linearised, mixed_features, unwhiten
-from motionlab.humor.shooting.gauss_newton import factorised
+from motionlab.errors import NotConverged
+from motionlab.humor.coordinates import Whitening, linearised, mixed_features, unwhiten
+from motionlab.humor.gauss_newton import factorised
 from motionlab.humor.stages import Problem, interrupted, rolled_terms
 from motionlab.humor.unknowns import Unknowns
 from motionlab.optimise import BatchFit, minimise_batch
@@ -43,9 +43,9 @@ class Plan:
     are differentiated. mode_jumps: components of the first state's mixture whose modes a clip tries in a round
     (``mixture_modes``), if they promise more. halving_after: where a clip jumps, closures after which only the lowest
     search of each clip goes on; where that is the one that stayed, the clip jumps no more. 0: all go on, in every
-    round. trial_rounds: that a second start goes along, before the first jumps; with 0 it is not used. trial_stride:
-    the least stride of these. two_starts: False: no second start; the trial rounds remain. ridge: added to the matrix
-    of z; damping: instead of it in the first rounds, where the matrix is too sure of itself.
+    round. trial_rounds: before the first jumps, in which a second start goes along; with 0 it is not used.
+    trial_stride: the least stride of these. ridge: added to the matrix of z; damping: instead of it in the first
+    rounds, where the matrix is too sure of itself.
     """
 
     rounds: int = 25
@@ -59,7 +59,6 @@ class Plan:
     damping: tuple[float, ...] = ()
     min_gain: float = 0.0
     halving_after: int = 0
-    two_starts: bool = True
 
     def __post_init__(self) -> None:
         may_be_0 = self.mode_jumps, self.trial_rounds
@@ -74,7 +73,7 @@ def solve(
     linearise: Callable[..., Whitening] = linearised, note: Callable[[], None] = lambda: None,
     progress: bool | str = False,
 ) -> tuple[Unknowns, list[BatchFit]]:  # fmt: skip
-    """Runs the feedback solver from unknowns (G, 1, ...) of whole recordings; Ctrl-C keeps the best so far.
+    """Runs the feedback solver from unknowns (G, ...); Ctrl-C keeps the best so far.
 
     second_start: of the same recordings; after the plan's trial rounds the lower one of each goes on. linearise: called
     as ``coordinates.linearised``; another for ablations. note: called whenever energies are known.
@@ -82,17 +81,14 @@ def solve(
     Returns:
         the unknowns of lowest energy, and the reports of all rounds, of all clips; of one that is done: "no decrease".
     Raises:
-        ShapeError: recordings in several windows, or of one frame; a second start of other recordings.
+        ShapeError: recordings of one frame.
         NotConverged: no clip has a finite energy and gradient at the start.
     """
-    if unknown.z.shape[1] != 1:
-        raise ShapeError(f"z: expected one window per recording, got {unknown.z.shape[1]}")
     plan, clips = plan or Plan(), len(unknown.z)
     unknown = unknown.map(lambda x: x.detach().clone())
-    trial = 0 if second_start is None and plan.two_starts else plan.trial_rounds
-    if second_start is not None:
-        both = _with_second_start(unknown, second_start)
-        unknown = both if trial and plan.two_starts else unknown
+    if second_start is not None and plan.trial_rounds:
+        other = second_start.named()
+        unknown = Unknowns(**{name: torch.cat((x, other[name].detach())) for name, x in unknown.named().items()})
     mark, fits = time.perf_counter(), []
     energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
     live = every = torch.arange(len(energy), device=energy.device)
@@ -101,11 +97,12 @@ def solve(
         live = live[torch.stack(other).any(0) | (live < clips)]
     jumping = torch.ones_like(energy, dtype=torch.bool)
     for count in range(plan.rounds):
-        if count == trial:
+        if count == plan.trial_rounds:
             live = live[torch.isin(live, _lowest_rows(energy, clips))]
         if not len(live):
             break
-        now = plan if count >= trial else replace(plan, mode_jumps=0, stride=max(plan.stride, plan.trial_stride))
+        trial = count < plan.trial_rounds
+        now = replace(plan, mode_jumps=0, stride=max(plan.stride, plan.trial_stride)) if trial else plan
         now = replace(now, ridge=(*plan.damping, plan.ridge)[min(count, len(plan.damping))])
         here, name = unknown.rows(live), progress and f"{progress}, round {count + 1} of at most {plan.rounds}"
         try:
@@ -131,21 +128,11 @@ def solve(
         whole = BatchFit({}, energy.clone(), history, time.perf_counter() - mark, reasons)
         fits.append(_of_clips(whole, every % clips)[1])
         done = plan.tolerance * energy[live].abs()
-        gained = gain > (done.clamp(min=plan.min_gain * (unknown.z.shape[2] + 1)) if plan.min_gain else done)
-        mark, live = time.perf_counter(), live[gained] if count >= trial else live
+        gained = gain > (done.clamp(min=plan.min_gain * (unknown.z.shape[1] + 1)) if plan.min_gain else done)
+        mark, live = time.perf_counter(), live if trial else live[gained]
         if interrupted(fit):
             break
     return unknown.rows(_lowest_rows(energy, clips)), fits
-
-
-def _with_second_start(unknown: Unknowns, second_start: Unknowns) -> Unknowns:
-    """Two starts of G clips as 2 G rows."""
-    ours, theirs = unknown.named(), second_start.named()
-    for name, x in ours.items():
-        got = tuple(theirs[name].shape) if name in theirs else None
-        if got != tuple(x.shape):
-            raise ShapeError(f"second start {name}: expected shape {tuple(x.shape)}, got {got}")
-    return Unknowns(**{name: torch.cat((x, theirs[name].detach())) for name, x in ours.items()})
 
 
 def _lowest_rows(energy: Tensor, clips: int) -> Tensor:
@@ -203,17 +190,16 @@ def minimise_from(
         if len(rows) < len(who):  # gains are large: no copies while all run
             these, at, near = some.rows(rows), here.rows(rows), around.rows(rows)
         at, rolled = unwhiten(these, at, near, new)
-        found = sum(rolled_terms(these, at, rolled).values())
+        found = sum(rolled_terms(these, rolled).values())
         note()
         return found
 
-    start = {"nu": torch.zeros_like(here.z[:, 0]) if nu is None else nu, "first": first}
-    start = {name: x.clone().requires_grad_() for name, x in start.items()}
+    start = {"nu": torch.zeros_like(here.z) if nu is None else nu, "first": first}
     how = {"inner": closures, "max_closures": closures, "tolerance_change": enough}
     fit = minimise_batch(energy, start, steps=1, unit=True, progress=progress, **how)
     with torch.no_grad():
         at, rolled = unwhiten(some, here, around, fit.variables)
-    return replace(at, z=rolled.rollout.z[:, None]), fit
+    return replace(at, z=rolled.rollout.z), fit
 
 
 def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
@@ -279,9 +265,9 @@ def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> Mixt
     """Computes, for each mixture component of the first state, how much lower the energy should be there."""
     clips, size = white.first.shape[:2]
     weight, gmm = _weight(problem, unknown), problem.priors.initial
-    new = {"nu": torch.zeros_like(unknown.z[:, 0]), "first": white.first.new_zeros(clips, size).requires_grad_()}
+    new = {"nu": torch.zeros_like(unknown.z), "first": white.first.new_zeros(clips, size).requires_grad_()}
     with torch.enable_grad():
-        terms = rolled_terms(problem, *unwhiten(problem, unknown, white, new))
+        terms = rolled_terms(problem, unwhiten(problem, unknown, white, new)[1])
         whole = sum(terms.values())
         rest = whole - terms.get("init_motion_prior", 0.0)
         g = torch.autograd.grad(rest.sum(), new["first"])[0].double()
@@ -300,4 +286,4 @@ def mixture_modes(problem: Problem, unknown: Unknowns, white: Whitening) -> Mixt
 
 
 def _weight(problem: Problem, unknown: Unknowns) -> float:
-    return problem.weights.of(3, frames=unknown.z.shape[2] + 1).get("init_motion_prior", 0.0)
+    return problem.weights.of(3, frames=unknown.z.shape[1] + 1).get("init_motion_prior", 0.0)

@@ -38,8 +38,8 @@ from motionlab import rotation
 from motionlab.heading import Frame
 from motionlab.humor import energies, state
 from motionlab.humor.body_shape import BETAS, CARRIERS, GROUP_OF, ORDER, PLACE, SPREAD, offsets, scales
-from motionlab.humor.cvae import Cvae
 from motionlab.humor.evidence import Evidence
+from motionlab.humor.priors import Cvae
 from motionlab.humor.state import ADDED, CHANGES
 from motionlab.skeleton import STANDARD, fk
 

@@ -20,19 +20,16 @@ from torch.nn import functional as F
 
 from motionlab import rotation
 from motionlab.heading import Frame
-from motionlab.humor import energies, priors, state, unknowns
+from motionlab.humor import energies, gauss_newton, priors, state, unknowns
 from motionlab.humor.body_shape import BETAS
-from motionlab.humor.cvae import Gaussian
+from motionlab.humor.gauss_newton import CHANGE, GAMMA, LATENTS, XI, factorised, riccati_sweep
+from motionlab.humor.priors import Gaussian
 from motionlab.humor.rollout import steered_rollout
-from motionlab.humor.shooting import gauss_newton
-from motionlab.humor.shooting.gauss_newton import CHANGE, GAMMA, LATENTS, XI, factorised, riccati_sweep
 from motionlab.humor.stages import Problem
 from motionlab.humor.state import ADDED
-from motionlab.humor.unknowns import Rolled, Unknowns
+from motionlab.humor.unknowns import FIRST, Rolled, Unknowns
 
-#: Sizes of the first state's unknowns, its rotation as a vector.
-FIRST_SIZES = {"trans": 3, "orient": 3, "latent": 32, "trans_vel": 3, "root_orient_vel": 3, "joints_vel": 66}
-_FIRST = sum(FIRST_SIZES.values())
+_FIRST = sum(FIRST.values())
 #: Where the features of the initial-state mixture stand in xi: joints, joints_vel, trans_vel, root_orient_vel.
 _FEATURES = [*range(9, 141), *range(3, 9)]
 _INFORMATION = 0.25 * 0.5
@@ -42,10 +39,10 @@ _SHARPEST = 1e2  # 1 / sigma of the prior counts no more than this in the matrix
 class Whitening(NamedTuple):
     """Coordinates around a roll-out in which the Gauss-Newton matrix is the identity.
 
-    base (B, T - 1, 48): its z - K X. gains (B, T - 1, 48, 345): on X of ``rollout``; shared (B, T - 1, 48, S): on
-    what all frames share. whiteners (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T. Of the first state and what is
-    shared, in these coordinates: rest (B, f, f), the matrix without the initial-state mixture, whose features move by
-    (B, 138, f).
+    base (B, T - 1, 48): its z - K X. gains (T - 1, B, 48, 345), time first as roll-outs read them: on X of ``rollout``;
+    shared (B, T - 1, 48, S): on what all frames share. whiteners (B, T - 1, 48, 48): L_t^-T; first (B, f, f): L_0^-T.
+    Of the first state and what is shared, in these coordinates: rest (B, f, f), the matrix without the initial-state
+    mixture, whose features move by (B, 138, f).
     """
 
     base: Tensor
@@ -57,9 +54,8 @@ class Whitening(NamedTuple):
     features: Tensor
 
     def rows(self, index: Tensor) -> Self:
-        """Returns the coordinates of some clips, which may repeat; gains as roll-outs read them."""
-        gains = self.gains.transpose(0, 1)[:, index].transpose(0, 1)
-        return Whitening(*(x[index] for x in self._replace(gains=self.base)))._replace(gains=gains)
+        """Returns the coordinates of some clips, which may repeat."""
+        return Whitening(*(x[:, index] if x is self.gains else x[index] for x in self))
 
 
 def unwhiten(
@@ -72,13 +68,13 @@ def unwhiten(
     shared = change[:, _FIRST:]
     u = white.base + (white.whiteners @ new["nu"][..., None])[..., 0]
     u = u + (white.shared @ shared[:, None, :, None])[..., 0]
-    rollout, _ = steered_rollout(problem.priors.motion, first, u, white.gains)
+    rollout, _ = steered_rollout(problem.priors.motion, first, u, white.gains.transpose(0, 1))
     return at, unknowns.rolled_from(first, rollout, at, problem.evidence)
 
 
 def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
-    """Computes unknowns after a change (G, f) of the first state and of what is shared."""
-    parts = dict(zip(FIRST_SIZES, change[:, None, :_FIRST].split(list(FIRST_SIZES.values()), -1), strict=True))
+    """Computes unknowns after a change (B, f) of the first state and of what is shared."""
+    parts = dict(zip(FIRST, change[:, :_FIRST].split(list(FIRST.values()), -1), strict=True))
     new = {n: getattr(unknown, n) + part for n, part in parts.items() if n != "orient"}
     new["orient"] = unknowns.from_matrix(rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient), "lean")
     new["betas"] = unknown.betas + change[:, _FIRST : _FIRST + BETAS]
@@ -90,7 +86,7 @@ def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
 @torch.inference_mode(False)
 @torch.no_grad()
 def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Whitening:
-    """Computes coordinates around the roll-out of unknowns (G, 1, ...), networks differentiated at stride-th frames.
+    """Computes coordinates around the roll-out of unknowns (B, ...), networks differentiated at stride-th frames.
 
     On a CPU one clip after another: the matrices of one stay in its cache.
     """
@@ -98,9 +94,8 @@ def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stri
         return _linearised(problem, unknown, ridge, stride)
     each = torch.arange(len(unknown.z)).split(1)
     parts = [_linearised(problem.rows(i), unknown.rows(i), ridge, stride) for i in each]
-    whole = Whitening(*(torch.cat(x) for x in zip(*(p._replace(gains=p.base) for p in parts), strict=True)))
-    gains = torch.cat([p.gains.transpose(0, 1) for p in parts], 1).transpose(0, 1)  # as roll-outs read them
-    return whole._replace(gains=gains)
+    fields = zip(Whitening._fields, zip(*parts, strict=True), strict=True)
+    return Whitening(*(torch.cat(x, 1 if name == "gains" else 0) for name, x in fields))
 
 
 def _clip_by_clip(z: Tensor) -> bool:
@@ -108,7 +103,7 @@ def _clip_by_clip(z: Tensor) -> bool:
 
 
 def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) -> Whitening:
-    z, model = unknown.z[:, 0], problem.priors.motion
+    z, model = unknown.z, problem.priors.motion
     clips, frames = z.shape[0], z.shape[1] + 1
     first = unknowns.first_state(unknown, problem.priors)
     rollout, inputs = steered_rollout(model, first, z)
@@ -134,8 +129,8 @@ def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) 
     both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
     swept = riccati_sweep(found.of_frame.mT @ found.of_frame, a, b, both.mT @ both, ridge)
     gains, shared = _gains_on_states(swept.gains, past, frame)
-    gains = gains.transpose(0, 1).contiguous().transpose(0, 1)  # as roll-outs read them
-    base = z - (gains @ inputs[..., None])[..., 0]
+    gains = gains.transpose(0, 1).contiguous()
+    base = z - (gains.transpose(0, 1) @ inputs[..., None])[..., 0]
     return Whitening(base, gains, shared, swept.whiteners, *whiten_first_state(problem, unknown, swept.first, frames))
 
 

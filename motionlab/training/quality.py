@@ -8,11 +8,10 @@ import math
 import torch
 from torch import Tensor
 
-from motionlab.humor.cvae import Cvae, kl
+from motionlab.humor.priors import Cvae, kl
 from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.humor.state import apply, bone_lengths, globalise, heading, localise, transition_pairs, unpack
-from motionlab.metrics.gait import contact_scores
-from motionlab.metrics.pose import masked_mean, mean_acceleration
+from motionlab.metrics import contact_f1, masked_mean, mean_acceleration
 from motionlab.motion import FPS
 from motionlab.skeleton import BALLS, STANDARD
 
@@ -56,26 +55,22 @@ def rollout_errors(model: Cvae, states: Tensor) -> dict[str, Tensor]:
         z = model.posterior(past, localise(truth[:, t], frame)).mean
         x = globalise(apply(past, model.decode(past, z))[0], frame)
         closed.append(x)
-    velocity = unpack(first)["joints_vel"]
-    time = torch.arange(1, truth.shape[1] + 1).to(first)[:, None, None] / FPS
-    ahead = unpack(first)["joints"][:, None] + time * velocity[:, None]
     return {
         "posterior z": _error(rollout(model, first, q.mean, with_prior=False).states, truth),
         "closed loop": _error(torch.stack(closed, 1), truth),
         "prior mean": _error(sample_rollout(model, first, truth.shape[1]).states, truth),
         "hold": _error(first[:, None], truth),
-        "constant velocity": 100 * (ahead - unpack(truth)["joints"]).norm(dim=-1).mean(-1),
     }
 
 
-def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
-    """What motions look like that go on from first states (W, 339) with world states (W, T, 339), one number each (W,).
+def looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
+    """Computes what motions look like that go on from first states (W, 339) with world states (W, T, 339), one number
+    each (W,).
 
-    Measured from the joints; a foot is down where its ball is lower than 3 cm above where it rests. slide: mm per frame
-    over the floor of balls that are down in both frames, NaN where none is (feet that swing close to it count, so
-    compare with data). feet up: share of frames with no foot down. penetration: share with a ball more than 2 cm below
-    where it rests. sunk: 1 where the head ends below 30 cm or any joint 30 cm below the floor. acceleration: m/s^2.
-    bones: mean change of the bone lengths, per cent of their mean.
+    Measured from the joints. slide: mm per frame over the floor of the balls of the feet while they are, in both
+    frames, lower than 3 cm above where they rest; NaN where none is (feet that swing close to it count, so compare with
+    data). penetration: share of frames with a ball more than 2 cm below where it rests. acceleration: m/s^2. bones:
+    mean change of the bone lengths, per cent of their mean.
     """
     joints = unpack(states)["joints"]
     balls = joints[:, :, STANDARD.indices(BALLS)]
@@ -83,22 +78,12 @@ def _looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
     down = above < 0.03
     speed = 1000 * balls[..., :2].diff(dim=1).norm(dim=-1)
     length, before = bone_lengths(states), bone_lengths(first)[:, None]
-    end = joints[:, -1, :, 2]
     return {
         "slide": masked_mean(speed, down[:, 1:] & down[:, :-1], 2),
-        "feet up": (~down.any(-1)).float().mean(1),
         "penetration": (above.amin(-1) < -0.02).float().mean(1),
-        "sunk": ((end[:, STANDARD.index("head")] < 0.3) | (end.amin(-1) < -0.3)).float(),
         "acceleration": mean_acceleration(joints, FPS),
         "bones": 100 * (length - before).abs().mean((1, 2)) / before.mean((1, 2)),
     }
-
-
-@torch.no_grad()
-def plausibility(model: Cvae, first: Tensor, steps: int, generator: torch.Generator) -> dict[str, Tensor]:
-    """Computes what samples of ``steps`` frames from first states (W, 339) look like, one number each (W,), z drawn
-    from the prior: slide, feet up, penetration, sunk, acceleration and bones, as ``_looks`` defines them."""
-    return _looks(first, sample_rollout(model, first, steps, generator=generator).states)
 
 
 @torch.no_grad()
@@ -109,7 +94,7 @@ def _contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> tuple[float, f
     _, logits = apply(past, model.decode(past, model.posterior(past, now).mean))
     truth = contacts[:, 1:].flatten(0, 1)
     guesses = (logits > 0).float(), contacts[:, :-1].flatten(0, 1)
-    return tuple(float(contact_scores(guess, truth).f1) for guess in guesses)
+    return tuple(float(contact_f1(guess, truth)) for guess in guesses)
 
 
 @torch.no_grad()
@@ -136,24 +121,24 @@ def effective_rank(model: Cvae, past: Tensor) -> float:
     return float(torch.special.entr(values / values.sum(-1, keepdim=True)).sum(-1).exp().mean())
 
 
-def quality_row(model: Cvae, states: Tensor, contacts: Tensor | None = None, seed: int = 0) -> dict[str, float]:
-    """Computes one row of the quality table from world states (W, 61, 339): means over windows.
+def quality_row(model: Cvae, states: Tensor, contacts: Tensor, seed: int = 0) -> dict[str, float]:
+    """Computes one row of the quality table from world states (W, 61, 339), contacts (W, 61, 9): means over windows.
 
     The best of 8 samples is of 48 windows at most, the effective rank of as many states. "samples' ": how samples look,
     "data's ": the windows themselves.
     """
     step, way = one_step_errors(model, states), rollout_errors(model, states)
-    made = plausibility(model, states[:, 0], states.shape[1] - 1, torch.Generator().manual_seed(seed))
     row = {f"one step, {name}, cm": float(step[name].mean()) for name in step if name != "kl"}
-    if contacts is not None:
-        f1 = _contact_f1(model, states, contacts)
-        row |= dict(zip(("one step, posterior, contact F1", "contact F1, as one frame before"), f1, strict=True))
+    f1 = _contact_f1(model, states, contacts)
+    row |= dict(zip(("one step, posterior, contact F1", "contact F1, as one frame before"), f1, strict=True))
     row |= {f"2 s, {name}, cm": float(way[name][:, -1].mean()) for name in way}
     some = states[:: math.ceil(len(states) / 48)]
     best = best_of(model, some, _SAMPLES, torch.Generator().manual_seed(seed))
     row[f"2 s, best of {_SAMPLES} samples, cm"] = float(best.mean())
     row["effective rank"] = effective_rank(model, localise(some[:, 0], heading(some[:, 0])))
     row |= {"kl, nats": float(step["kl"].sum(-1).mean()), "active": int((step["kl"].mean(0) > ACTIVE_NATS).sum())}
-    for whose, found in (("samples'", made), ("data's", _looks(states[:, 0], states[:, 1:]))):
-        row |= {f"{whose} {name}": float(value.nanmean()) for name, value in found.items()}
+    first, draw = states[:, 0], torch.Generator().manual_seed(seed)
+    made = sample_rollout(model, first, states.shape[1] - 1, generator=draw).states
+    for whose, shown in (("samples'", made), ("data's", states[:, 1:])):
+        row |= {f"{whose} {name}": float(value.nanmean()) for name, value in looks(first, shown).items()}
     return row

@@ -1,1 +1,0 @@
-"""Stage 3 by closed-loop Gauss-Newton: the feedback solver, its coordinates, its matrix and the derivatives."""

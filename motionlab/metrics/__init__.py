@@ -1,1 +1,0 @@
-"""Measures how good a motion is: poses, smoothness, contact with the floor. Units in name or docstring."""
