@@ -5,7 +5,7 @@ import torch
 
 from motionlab.diffusion import sampling
 from motionlab.diffusion.sampling import cosine
-from studies.nb10_how_it_works.gaussian import GaussianData
+from studies.nb10_how_it_works.checks import GaussianData
 
 T = 24
 

@@ -8,7 +8,7 @@ import torch
 from motionlab.diffusion import sampling
 from motionlab.diffusion.sampling import MOST, NoiseSchedule, cosine
 from motionlab.errors import ShapeError
-from studies.nb10_how_it_works.gaussian import GaussianData
+from studies.nb10_how_it_works.checks import GaussianData
 
 F64 = torch.float64
 

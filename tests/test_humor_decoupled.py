@@ -67,7 +67,7 @@ def test_sequences_are_single_transitions_in_a_loop(kit, start):
 
 @pytest.mark.parametrize("steps", [1, 4])
 def test_at_an_exact_roll_out_the_energy_is_that_of_stage_3(problem, exact, steps):
-    judged, _ = energy.rolled_out(problem, exact)
+    judged, _ = energy.whole(problem, exact)
     with torch.no_grad():
         found, _ = terms(problem, exact, Form(steps))
     assert (found.pop("consistency") < 0.02).all()  # a sum of 24 x 339 differences that are rounding

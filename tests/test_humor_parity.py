@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from motionlab.humor.priors import Cvae
-from studies.nb04_prior import controls, parity
+from studies.nb04_prior import parity
 from studies.official import rotation as official_rotation
 
 FOLDER = Path(__file__).parent / "golden"
@@ -62,6 +62,6 @@ def test_control_a_changed_epsilon_is_noticed(monkeypatch):
 
 def test_control_what_is_wrong_on_purpose_is_noticed():
     golden, model = parity.Golden(FOLDER), parity.seeded()
-    assert min(controls.errors(golden, model).values()) > 1e-2
-    assert controls.misfits(model, golden) == []
-    assert len(controls.misfits(Cvae(512), golden)) == 50
+    assert min(parity.broken(golden, model).values()) > 1e-2
+    assert parity.misfits(model, golden) == []
+    assert len(parity.misfits(Cvae(512), golden)) == 50

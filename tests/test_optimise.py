@@ -56,11 +56,11 @@ def test_every_clip_takes_the_path_of_torch(memory):
     assert set(batch.reasons) == {"gradient"}
     for b in range(len(x)):
         energy, begin = lambda v: unit * rosenbrock({"x": v["x"][None]}).sum(), {"x": x[b].detach().requires_grad_()}
-        alone = minimise(energy, begin, steps=1, inner=900, memory=memory, tolerance_grad=1e-7 * unit)
+        alone, history = minimise(energy, begin, steps=1, inner=900, memory=memory, tolerance_grad=1e-7 * unit)
         early = slice(0, 25)  # later, rounding has grown
-        assert torch.allclose(batch.history[early, b], torch.tensor(alone.history).double()[early], rtol=1e-6)
-        assert abs(closures_of(batch, b) - alone.closures) <= 0.1 * alone.closures
-        assert (batch.variables["x"][b] - alone.variables["x"]).abs().max() < 1e-6
+        assert torch.allclose(batch.history[early, b], torch.tensor(history).double()[early], rtol=1e-6)
+        assert abs(closures_of(batch, b) - len(history)) <= 0.1 * len(history)
+        assert (batch.variables["x"][b] - alone["x"]).abs().max() < 1e-6
 
 
 def test_quadratics_of_any_condition():
@@ -71,8 +71,8 @@ def test_quadratics_of_any_condition():
     assert (batch.variables["x"] - at).abs().max() < 1e-8
     for b in range(len(at)):
         mine, begin = lambda v, b=b: energy({"x": v["x"][None]}, [b]).sum(), {"x": x[b].detach().requires_grad_()}
-        alone = minimise(mine, begin, steps=1, inner=900, tolerance_grad=1e-9)
-        assert closures_of(batch, b) <= 1.1 * alone.closures
+        _, history = minimise(mine, begin, steps=1, inner=900, tolerance_grad=1e-9)
+        assert closures_of(batch, b) <= 1.1 * len(history)
 
 
 @pytest.mark.parametrize(("dtype", "memory"), [(torch.float64, 3), (torch.float32, 100)])

@@ -74,7 +74,7 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
     _import_studies()
     from studies.nb05_testops import cast as clips_of
     from studies.nb05_testops import measures
-    from studies.shared.clips import takes
+    from studies.shared.clips import everyday, takes
     from studies.shared.sitting import seated
 
     if options.cast == "synthetic sits":
@@ -82,15 +82,15 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
     elif options.cast == "sits":
         cast = clips_of.who(takes(folder, options.part), clips_of.sits_down, 2, options.people, 7)
     else:
-        cast = clips_of.everyday(takes(folder, options.part), options.people)
-    motions = [motion.cut(0, clips_of.FRAMES) for motion in cast.motions]
+        cast = everyday(takes(folder, options.part), options.people)
+    motions = [motion.cut(0, clips_of.FRAMES) for _, motion in cast]
     scene, priors = scenes.film_recorded(options.view, motions, seed=3), pretrained.load_priors()
     when, size = measures.moment(scene.truth), (int(scene.cameras[0].width), int(scene.cameras[0].height))
     for how in options.cameras:
         first = None
         for name in options.plans:
             found, spent = [], []
-            for k in range(len(cast.people)):
+            for k in range(len(cast)):
                 seen = replace(
                     scene.observation, keypoints=scene.observation.keypoints[k : k + 1],
                     confidence=scene.observation.confidence[k : k + 1],
@@ -105,7 +105,7 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
                 _off(replace(made, skeleton=bones), scene.truth, turned=how == "assumed")
                 for bones in (made.skeleton, scene.truth.skeleton)
             )
-            error = clips_of.by_person(on_true.mean(-1), cast.people)
+            error = clips_of.by_person(on_true.mean(-1), [who for who, _ in cast])
             first = error if first is None else first
             more, low, high = interval(error - first, "mean", torch.Generator().manual_seed(0))
             right = (seated(made, when) == seated(scene.truth, when)).double().mean()

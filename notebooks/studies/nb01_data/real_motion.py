@@ -55,11 +55,6 @@ def takes_by_kind(found: Corpus) -> dict[str, list[Take]]:
     return dict(sorted(by_kind.items(), key=lambda pair: -_minutes(pair[1])))
 
 
-def first_of_kind(real: Corpus, kind: str) -> Motion:
-    """Returns the first recording of a kind of motion."""
-    return next(take.motion for take in real.takes if kind_of(take) == kind)
-
-
 def busiest(motion: Motion) -> Motion:
     """Cuts out the three seconds in which the joints move most; a shorter motion stays whole."""
     length = round(3.0 * motion.fps)

@@ -178,13 +178,6 @@ def of_many(some: Windows, least: int) -> Windows:
     return some.pick(torch.isin(some.whose, names[counts >= least]))
 
 
-def one_and_the_others(some: Windows) -> Iterator[tuple[Tensor, Tensor]]:
-    """Lists, person by person, the table of one and the table of everybody else."""
-    for person in some.whose.unique():
-        mine = some.whose == person
-        yield some.table[mine], some.table[~mine]
-
-
 def same_kind(
     real: Windows | None, made: Windows, generator: torch.Generator, *, each: int, least: int
 ) -> Iterator[tuple[str, Windows, Windows]]:

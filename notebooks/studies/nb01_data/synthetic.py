@@ -1,16 +1,10 @@
-"""The synthetic corpus of notebook 01, in both versions, and whether it is ground truth."""
+"""Whether the synthetic corpus of notebook 01 is ground truth."""
 
 from data_synth import corpus, faults
 from data_synth.audit import audit
 
 #: Faults put in on purpose: 5 cm/s of drift, 1 cm too low, knees reflected.
 FAULTS = (lambda motion: faults.drifting(motion, 0.05), faults.lowered, faults.knees_reflected)
-
-
-def build_both(seed: int, seconds: float) -> tuple[corpus.Corpus, corpus.Corpus]:
-    """Builds the synthetic corpus in the thesis's two versions: B with a free root, A with its root held."""
-    recipes = [corpus.Recipe(seed=seed, version=version, seconds=seconds) for version in "BA"]
-    return tuple(corpus.build(recipe=recipe, progress=False) for recipe in recipes)
 
 
 def audited(free: corpus.Corpus, still: corpus.Corpus) -> dict[str, tuple[list[float], list[float]]]:

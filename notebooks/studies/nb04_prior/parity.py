@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from motionlab.humor import pretrained, rollout, state
 from motionlab.humor.priors import Cvae, Gaussian, from_weights, kl, official_weights
@@ -68,16 +68,11 @@ class Golden:
     """Golden arrays by name, float64, from the files of a folder."""
 
     def __init__(self, folder: Path | str) -> None:
-        files = {path.name: np.load(path) for path in sorted(Path(folder).glob("humor_*.npz"))}
-        self._names = {name: file.files for name, file in files.items()}
-        self._arrays = {name: file[name] for file in files.values() for name in file.files}
+        files = [np.load(path) for path in sorted(Path(folder).glob("humor_*.npz"))]
+        self._arrays = {name: file[name] for file in files for name in file.files}
 
     def __getitem__(self, name: str) -> Tensor:
         return torch.as_tensor(self._arrays[name], dtype=F64)
-
-    def names(self, file: str) -> list[str]:
-        """The arrays of one file."""
-        return self._names[file]
 
     def states(self, prefix: str) -> Tensor:
         """The parts ``prefix``trans, ``prefix``trans_vel and so on as states (..., 339) in our order."""
@@ -138,7 +133,7 @@ def chosen(rows: Sequence[Row], form: str, starts: tuple[str, ...]) -> list[floa
 
 def missed_rows(rows: Sequence[Row], tests: Mapping[str, tuple[Sequence[float], float]]) -> list[dict[str, str]]:
     """Returns a table of the arrays that miss their tolerance, the worst first, and why; below them, by how much models
-    miss that are broken on purpose (``controls.parity``)."""
+    miss that are broken on purpose (:func:`compared`)."""
     missed = sorted((row for row in rows if not row.holds), key=lambda row: -row.error / row.tolerance)
     lean = [(r.arrays, f"{r.error:.1e}", f"{r.tolerance:.0e}", r.why) for r in missed]
     wrong = [(f"H01.{n}", f"{bad:.1e}", "", f"broken; ours {max(own):.0e}") for n, (own, bad) in tests.items()]
@@ -290,3 +285,51 @@ def _rollouts(golden: Golden, model: Cvae, pre: str) -> Iterator[Row]:
     slopes = gradients(golden, model, pre, lambda first, z: _rolled(model, first, z))
     for name in ("grad_loss", "grad_z"):  # what x0 does to the heading differs by construction
         yield _row(golden, pre + name, "lean", slopes[name], YAW)
+
+
+# ------------------------------------------------------------------------------------------------ wrong on purpose
+def without_repeated_z(model: Cvae) -> Cvae:
+    """A copy whose decoder sees z in its first layer only."""
+    model = copy.deepcopy(model)
+    with torch.no_grad():
+        for layer in list(model.decoder.net)[1:]:
+            if isinstance(layer, nn.Linear):
+                layer.weight[:, layer.in_features - model.latent :] = 0
+    return model
+
+
+def rollout_in_one_frame(model: Cvae, first: Tensor, z: Tensor) -> Tensor:
+    """States (B, T, 339) of a roll-out that takes the canonical frame once: first (B, 339) in it, z (B, T, 48)."""
+    x, found = first, []
+    for now in z.unbind(1):
+        x, _ = state.apply(x, model.decode(x, now))
+        found.append(x)
+    return torch.stack(found, 1)
+
+
+def broken(golden: Golden, model: Cvae) -> dict[str, float]:
+    """The differences of both from the golden arrays of the first set of weights, to whom ``model`` belongs."""
+    past, z = golden.packed("x_past"), golden["roll_z"]
+    raw = without_repeated_z(model).decode(past, golden["z"])[..., state.OFFICIAL_DELTA_ORDER.argsort()]
+    return {
+        "decoder_raw": difference(raw, golden["decoder_raw"]),
+        "roll_*": difference(rollout_in_one_frame(model, past, z), golden.states("roll_")),
+    }
+
+
+def misfits(model: Cvae, golden: Golden) -> list[str]:
+    """Names of tensors that a model lacks, adds, or whose sum differs from that of the official tensor."""
+    ours, theirs = official_weights(model), golden.weight_sums
+    other = [n for n in ours.keys() & theirs.keys() if abs(float(ours[n].sum()) - theirs[n]) > 1e-6]
+    return sorted(other) + sorted(ours.keys() ^ theirs.keys())
+
+
+def compared(folder: Path | str) -> tuple[list[Row], dict[str, tuple[list[float], float]]]:
+    """Compares with every golden array; returns the rows, and for each test of H01 its errors and the error of what is
+    broken on purpose: half the width, a decoder without its repeated z, one heading for all, the other form."""
+    rows, golden, model = parity_rows(folder), Golden(folder), seeded()
+    wrong = broken(golden, model)
+    tests = {"tensors": ([float(len(misfits(model, golden)))], float(len(misfits(Cvae(512), golden))))}
+    for name, form, arrays, other in TESTS:
+        tests[name] = chosen(rows, form, arrays), wrong[other] if other else max(chosen(rows, "lean", arrays))
+    return rows, tests

@@ -19,7 +19,7 @@ from motionlab.humor.testops import Schedule, fit
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from studies.nb05_testops import tuning
-from studies.nb05_testops.filmed_people import Filmed
+from studies.nb05_testops.cast import Filmed
 from studies.nb05_testops.measures import CM
 
 TILT, RISE = 3.0, 0.05  # standard deviations, degrees and metres, of a camera that was placed by eye

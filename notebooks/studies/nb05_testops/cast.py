@@ -1,11 +1,16 @@
 """Who is filmed, by what they do: clips of two seconds of real and synthetic people, and how a detector fails on them.
+With who performs each: numbers are averaged person by person first.
 
 Where something happens in a clip (somebody sits down), the moment is drawn, not fixed.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,6 +18,7 @@ from torch import Tensor
 from data_synth import corrupt, scenes
 from data_synth.actions import ACTIONS
 from data_synth.scenes import Scene
+from motionlab import bench
 from motionlab.corpus import Take
 from motionlab.metrics import SEATED, tilt_and_bend
 from motionlab.motion import Motion
@@ -26,28 +32,14 @@ _MOMENT = 10  # frames over which somebody must stand, or sit
 _DEEP = 0.2  # metres that the pelvis sinks of somebody who crouches
 _OVER_FEET = 0.05  # metres that the trunk of somebody who crouches is behind the feet, at most
 
-
-@dataclass(frozen=True, eq=False)
-class Cast:
-    """Clips (T,) of equal length, and who is in each."""
-
-    motions: tuple[Motion, ...]
-    people: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.motions)
-
-
-def everyday(some: Sequence[Take], count: int) -> Cast:
-    """Returns ``count`` clips of whatever people do, as evenly over people as can be."""
-    return _cast(clips.everyday(some, count))
+Cast = list[tuple[str, Motion]]  # who it is, and the clip (T,); all are as long
 
 
 def who(some: Sequence[Take], fits: Fits, each: int, most: int, seed: int, words: str = "") -> Cast:
     """Returns clips that begin where ``fits`` (starts,) is true, as ``clips.begun``. words: what a take's description
     must match."""
     told = [take for take in some if re.search(words, take.said, re.IGNORECASE)]
-    return _cast(clips.begun(told, fits, torch.Generator().manual_seed(seed), each, most))
+    return clips.begun(told, fits, torch.Generator().manual_seed(seed), each, most)
 
 
 def acted(action: str, fits: Fits, count: int, seed: int, **options) -> Cast:
@@ -61,11 +53,7 @@ def acted(action: str, fits: Fits, count: int, seed: int, **options) -> Cast:
             at = int(starts[torch.randint(len(starts), (), generator=generator)])
             cast.append((f"stranger {index}", motion.cut(at, at + FRAMES)))
         index += 1
-    return _cast(cast)
-
-
-def _cast(pairs: Sequence[tuple[str, Motion]]) -> Cast:
-    return Cast(tuple(replace(m, name="") for _, m in pairs), tuple(person for person, _ in pairs))
+    return cast
 
 
 # ------------------------------------------------------------------------------------------------- what a clip shows
@@ -129,3 +117,82 @@ def spoilt(scene: Scene, how: Callable, seed: int, **options) -> Scene:
 def two_legs(scene: Scene, lead: int, seed: int) -> Scene:
     """Predicts two legs where one is visible, from ``lead`` frames before a leg is hidden; one draw for all leads."""
     return spoilt(scene, corrupt.two_legs_from_one, seed, lead=lead)
+
+
+# ------------------------------------------------------------------------------------------ people, and who is filmed
+class People(NamedTuple):
+    """Clips (B, T) with a skeleton each, the number of the person (B,) in each, and recorded clips one by one."""
+
+    truth: Motion
+    whose: Tensor
+    motions: tuple[Motion, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of people."""
+        return len(self.whose.unique())
+
+    def mean(self, values: Tensor) -> Tensor:
+        """Computes the mean (P,) of each person's clips from one number (B,) a clip."""
+        return bench.by_person(values, self.whose)
+
+    def first(self, count: int) -> People:
+        """Returns so many recorded clips, evenly through them."""
+        keep = torch.linspace(0, len(self.motions) - 1, min(count, len(self.motions))).round().long()
+        some = tuple(self.motions[k] for k in keep.tolist())
+        return People(scenes.together(some), self.whose[keep].unique(return_inverse=True)[1], some)
+
+
+def recorded(folder: Path | str, part: str, count: int, frames: int) -> People:
+    """Returns clips of the people of one part of CMU's recordings, "val" or "test", evenly over people; of each
+    the first frames."""
+    cast = clips.everyday(clips.takes(folder, part), count)
+    motions, names = tuple(m.cut(0, frames) for _, m in cast), sorted({who for who, _ in cast})
+    return People(scenes.together(motions), torch.tensor([names.index(who) for who, _ in cast]), motions)
+
+
+def sources(
+    folder: Path | None, count: int, practice: int, *, seed: int, frames: int
+) -> dict[str, tuple[People, People]]:
+    """Returns by source test people and those to tune on: synthetic ones whom the corpus does not know, one
+    a clip, and recorded ones where there is a folder."""
+    made = [(scenes.held_out(n, seed=seed + k, frames=frames), n) for k, n in enumerate((count, practice))]
+    found = {"synthetic": tuple(People(truth, torch.arange(n)) for truth, n in made)}
+    if folder is not None:
+        found["CMU"] = recorded(folder, "test", count, frames), recorded(folder, "val", practice, frames)
+    return found
+
+
+class Filmed(NamedTuple):
+    """People, and what a camera of known place sees of them in plain view."""
+
+    people: People
+    scene: Scene
+
+    @property
+    def known(self) -> dict[str, object]:
+        """Arguments of ``testops.fit`` where camera and floor are known."""
+        return {"cameras": self.scene.cameras, "floor": "camera"}
+
+    def first(self, count: int, *, seed: int) -> Filmed:
+        """Returns so many of the clips; synthetic ones are all kept."""
+        return filmed(self.people.first(count), seed=seed) if self.people.motions else self
+
+
+def filmed(people: People, *, seed: int) -> Filmed:
+    """Films recorded clips in plain view."""
+    return Filmed(people, scenes.film_recorded("plain view", people.motions, seed=seed))
+
+
+def shots(
+    people: dict[str, tuple[People, People]], count: int, *, seed: int, frames: int
+) -> dict[str, tuple[Filmed, Filmed]]:
+    """Films every source: at most ``count`` test clips, half as many easy synthetic ones, one person a clip,
+    and those to tune on."""
+    counts = (-(-count // 2), len(people["synthetic"][1].whose))
+    easy = [scenes.film("easy", n, seed=seed + k, frames=frames) for k, n in enumerate(counts)]
+    made = {"synthetic": tuple(Filmed(People(s.truth, torch.arange(len(s))), s) for s in easy)}
+    if "CMU" in people:
+        tested, tried = people["CMU"]
+        made["CMU"] = (filmed(tested.first(count), seed=seed), filmed(tried, seed=seed + 1))
+    return made

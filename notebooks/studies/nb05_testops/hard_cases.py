@@ -21,8 +21,9 @@ from motionlab.motion import Motion
 from studies.nb05_testops import cast as clips_of
 from studies.nb05_testops import measures
 from studies.nb05_testops.cast import Cast, by_person
-from studies.nb05_testops.trials import Rival, rival_of, scores
-from studies.shared.clips import FRAMES, goes, takes
+from studies.nb05_testops.trials import rival_of, scores
+from studies.nb05_testops.tuning import Choice
+from studies.shared.clips import FRAMES, everyday, goes, takes
 from studies.shared.sitting import seated
 
 SYNTHETIC, CMU = "synthetic", "CMU"
@@ -66,7 +67,7 @@ def _crouchers(clips: int, seed: int) -> Cast:
     """Half of them crouch, half go down on a knee to the floor."""
     crouch = clips_of.acted("crouch", clips_of.sinks, clips - clips // 2, seed)
     kneel = clips_of.acted("floor", clips_of.sinks, clips // 2, seed, rolls=0, way="kneel")
-    return Cast(crouch.motions + kneel.motions, crouch.people + tuple(f"{who}, kneeling" for who in kneel.people))
+    return crouch + [(f"{who}, kneeling", motion) for who, motion in kneel]
 
 
 def real(
@@ -77,14 +78,14 @@ def real(
     if folder is None:
         return {}, {}
     some = takes(folder, part)
-    cast = {PLAIN: clips_of.everyday(some, clips + clips // 2), FLIPS: clips_of.everyday(some, clips)}
+    cast = {PLAIN: everyday(some, clips + clips // 2), FLIPS: everyday(some, clips)}
     cast[FALSE] = cast[FLIPS]
     drawn = {SITS: (clips_of.sits_down, 2, ""), SINKS: (clips_of.sinks, 1, ""), WALKS: (goes, 1, "walk"),
              FLOOR: (clips_of.lies, 2, ""), DANCE: (clips_of.lively, 2, "danc|salsa|macarena")}  # fmt: skip
     cast |= {case: clips_of.who(some, fits, each, clips + 2, seed, said) for case, (fits, each, said) in drawn.items()}
     cast[WALL] = cast[WALKS]
     found = {(case, CMU): _shot(case, cast[case], seed, frames) for case in cases if len(cast.get(case, ()))}
-    return found, {key: cast[key[0]].people for key in found}
+    return found, {key: tuple(who for who, _ in cast[key[0]]) for key in found}
 
 
 def _shot(case: str, cast: Cast, seed: int, frames: int) -> Scene:
@@ -92,7 +93,7 @@ def _shot(case: str, cast: Cast, seed: int, frames: int) -> Scene:
     case says so."""
     view = {SITS: "legs behind a desk", SINKS: "legs behind a desk", WALL: "behind a low wall"}.get(case, "plain view")
     step = FRAMES // frames
-    cut = [replace(m, root=m.root[::step], rot=m.rot[::step], contacts=m.contacts[::step]) for m in cast.motions]
+    cut = [replace(m, root=m.root[::step], rot=m.rot[::step], contacts=m.contacts[::step]) for _, m in cast]
     scene = scenes.film_recorded(view, cut, seed=seed)
     return clips_of.spoilt(scene, seed=seed, **FAILS[case]) if case in FAILS else scene
 
@@ -129,7 +130,7 @@ def of(some: Iterable[Case], *cases: str) -> list[Case]:
 
 
 # -------------------------------------------------------------------------------------------------- who is compared
-def rivals(found: Mapping[Rival, Mapping[Case, Mapping[str, Tensor]]], cases: Sequence[Case]) -> dict[Case, Rival]:
+def rivals(found: Mapping[Choice, Mapping[Case, Mapping[str, Tensor]]], cases: Sequence[Case]) -> dict[Case, Choice]:
     """Chooses each case's stage 2 on the practice clips of its own task and source."""
     tasks = {(case, source): TUNED_ON[case] for case, source in cases}
     return {key: rival_of(found, (task, key[1]), measure) for key, (task, measure) in tasks.items()}
@@ -171,7 +172,7 @@ def posture(ways: Mapping[str, Motion], truth: Motion) -> dict[str, dict[str, Te
 
 def crouchers(count: int, seed: int) -> dict[str, Tensor]:
     """Computes ``posture`` of the true motion of so many synthetic people who crouch or go down on a knee."""
-    truth = scenes.together(_crouchers(count, seed).motions)
+    truth = scenes.together([motion for _, motion in _crouchers(count, seed)])
     return posture({"truth": truth}, truth)["truth"]
 
 
@@ -192,8 +193,8 @@ def swings(
 
 def lateness(ways: Mapping[str, Motion], truth: Motion) -> dict[str, tuple[Tensor, Tensor, Tensor]]:
     """Computes by way the error over time (B, T) in cm, and its means (B,) over the first and the last quarter."""
-    curves = {way: 100 * measures.error_over_time(motion, truth) for way, motion in ways.items()}
-    return {way: (curve, *measures.quarters(curve)) for way, curve in curves.items()}
+    off = {way: metrics.joint_errors(motion.positions, truth.positions, align="root") for way, motion in ways.items()}
+    return {way: (100 * x.mean(-1), *measures.quarters(100 * x.mean(-1))) for way, x in off.items()}
 
 
 def panels(truth: Motion, fits: Mapping[str, Motion], index: int = 0) -> dict[str, Motion]:

@@ -55,11 +55,6 @@ def swing(motion: Motion, where: Tensor) -> Tensor:
     return metrics.masked_mean((way - mean[..., None]).square(), where, 1).sqrt()
 
 
-def error_over_time(fit: Motion, truth: Motion, align: str = "root") -> Tensor:
-    """Computes the joint error (B, T) in metres; ``align`` as in ``metrics.joint_errors``."""
-    return metrics.joint_errors(fit.positions, truth.positions, align=align).mean(-1)
-
-
 def _about_pelvis(motion: Motion) -> Tensor:
     return motion.positions - motion.positions[..., :1, :]
 

@@ -18,14 +18,13 @@ from motionlab.humor.energies import RGB, RGB_LIGHT
 from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Fitted, Schedule, fit
-from motionlab.metrics import interval
+from motionlab.metrics import interval, joint_errors
 from motionlab.motion import Motion
 from motionlab.viz.palette import INK, LINE, colour
 from studies.nb05_testops import trials
-from studies.nb05_testops.cast import everyday
-from studies.nb05_testops.measures import CM, error_over_time
-from studies.nb05_testops.trials import CaseFit, later_error
-from studies.shared.clips import part, takes
+from studies.nb05_testops.measures import CM
+from studies.nb05_testops.trials import later_error
+from studies.shared.clips import everyday, takes
 from studies.shared.plots import canvas
 
 ROUGH = replace(RGB, joints3d_smooth=(0.0, 0.0, 0.0))  # the official weights, and nothing that smooths
@@ -38,7 +37,7 @@ ROLES = {"truth": "truth", "lean": "ours", "official": "baseline", "official, no
 SAID = {"first 1": "first frame", "middle 1": "middle frame", "first 10": "first 10 frames"}
 HOW = "official unknowns, start and masks at the lean price"
 #: Fits, and what missing frames add to their error (B,), by way, source and variant.
-Fits, Added = Mapping[tuple[str, str, str], CaseFit], Mapping[tuple[str, str, str], Tensor]
+Fits, Added = Mapping[tuple[str, str, str], Mapping[int, Motion]], Mapping[tuple[str, str, str], Tensor]
 
 
 # ------------------------------------------------------------------------------------------------ who is filmed
@@ -48,8 +47,8 @@ def filmed(folder: Path | None, count: int, seed: int, frames: int) -> tuple[dic
     said = f"Synthetic: {count} clips of {count} people."
     if folder:
         cast = everyday(takes(folder, "test"), count)
-        found["CMU"] = from_the_front([m.cut(0, frames) for m in cast.motions], seed)
-        who = f"{len(cast)} clips of {len(set(cast.people))} people"
+        found["CMU"] = from_the_front([m.cut(0, frames) for _, m in cast], seed)
+        who = f"{len(cast)} clips of {len({who for who, _ in cast})} people"
         said += f" CMU, people of the part kept for reports: {who}."
     return found, said
 
@@ -57,13 +56,6 @@ def filmed(folder: Path | None, count: int, seed: int, frames: int) -> tuple[dic
 def from_the_front(motions: Sequence[Motion], seed: int) -> Scene:
     """Films recorded motions (T,) by cameras within 45 degrees of where people look."""
     return scenes.film_recorded("plain view", [with_contacts(m) for m in motions], seed=seed, facing=True)
-
-
-def some_of(scene: Scene, count: int) -> Scene:
-    """Returns the first clips of a scene."""
-    few = slice(0, count)
-    rest = {name: getattr(scene, name)[few] for name in ("cameras", "pixels", "seen", "wrong", "occluders")}
-    return replace(scene, truth=scene.truth.clip(few), observation=part(scene.observation, few), **rest)
 
 
 def gap(variant: str, frames: int) -> list[int]:
@@ -80,11 +72,9 @@ def tiny() -> Schedule:
 
 def fitted(
     seen: Mapping[str, Scene], way: str, variants: Sequence[str], priors: Priors, schedule: Schedule | None
-) -> dict[tuple[str, str], CaseFit]:
-    """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> fit.
-
-    schedule: None: the way's own.
-    """
+) -> dict[tuple[str, str], dict[int, Motion]]:
+    """Fits scenes with frames missing in a way of ``WAYS``: (source, variant) -> motions by stage. schedule: None: the
+    way's own."""
     cases = {
         (source, variant): scenes.without(scene, gap(variant, scene.truth.frames)) if variant != "whole" else scene
         for source, scene in seen.items()
@@ -130,7 +120,7 @@ def jumps(fits: Fits, added: Added, truth: Motion) -> list[dict[str, object]]:
         if source == "synthetic" and not variant.startswith("middle"):
             more = added.get((way, source, variant))
             late = ("-", "-") if more is None else (more.mean().item() / CM, more.max().item() / CM)
-            speed = first_speed(found.stages[2]).mean().item()
+            speed = first_speed(found[2]).mean().item()
             rows.append((way, SAID.get(variant, "nothing"), speed, *late))
     return [dict(zip(heads, row, strict=True)) for row in rows]
 
@@ -160,7 +150,7 @@ def over_time(
     t = np.arange(truth.frames) / truth.fps
     for k in (2, 3):
         for motions, style, name in ((whole, (0, (3, 2)), "all frames"), (stages, "-", "frames missing")):
-            error = CM * error_over_time(motions[k], truth, align="none")[0]
+            error = CM * joint_errors(motions[k].positions, truth.positions, align="none")[0].mean(-1)
             ax.plot(t, error, ls=style, lw=1.8, color=colour(f"stage{k}"), label=f"stage {k}, {name}")
     if frames:
         half = 0.5 / truth.fps

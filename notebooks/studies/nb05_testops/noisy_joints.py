@@ -24,7 +24,7 @@ from motionlab.humor.testops import Schedule, fit
 from motionlab.motion import Motion
 from motionlab.skeleton import FEET, STANDARD, fk
 from studies.nb05_testops import tuning
-from studies.nb05_testops.filmed_people import People
+from studies.nb05_testops.cast import People
 from studies.nb05_testops.measures import CM
 from studies.shared import joints
 
@@ -178,8 +178,3 @@ def duels(sources: Mapping[str, object]) -> list[tuple[str, str, str, str]]:
     kinds = [*((noise, "polish", two) for two in twos), (noise, "smoothing", "best filter")]
     kinds += [(hidden, "hidden", two) for two in twos]
     return [(source, *kind) for source in sources for kind in kinds]
-
-
-def pairs(sources: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Returns every source with every test."""
-    return list(product(sources, TESTS))

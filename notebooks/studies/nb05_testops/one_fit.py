@@ -5,7 +5,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 from matplotlib.figure import Figure
-from torch import Tensor
 
 from data_synth import scenes
 from data_synth.scenes import Scene
@@ -131,8 +130,3 @@ def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float, *, thing
     built, _ = stage(titled, roles, body, size=(1080, 400), things=things, ghost=shown["truth"])
     with built:
         return built.image(seconds)
-
-
-def by_hand(terms: Mapping[str, Tensor], library: Mapping[str, Tensor]) -> list[dict[str, object]]:
-    """Returns a row per term: its value by the energy that the notebook wrote out, and by the library."""
-    return [{"term": n, "written above": value.item(), "library": library[n].item()} for n, value in terms.items()]

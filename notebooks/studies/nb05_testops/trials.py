@@ -1,7 +1,7 @@
 """Many cases in one fit, and the table of errors that every case gets. Clips of a batch do not touch each other."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import product
 
@@ -12,34 +12,26 @@ from data_synth.legs import two_bone
 from data_synth.scenes import Scene
 from motionlab import metrics, rotation
 from motionlab.baselines import smoothed
-from motionlab.humor.energies import RGB, Weights
+from motionlab.humor.energies import RGB
 from motionlab.humor.priors import Priors
 from motionlab.humor.testops import Schedule, fit
 from motionlab.motion import Motion
-from motionlab.observation import Camera
 from motionlab.parallel import run_jobs
-from studies.nb05_testops.measures import CM, error_over_time
+from studies.nb05_testops.measures import CM
+from studies.nb05_testops.tuning import Choice
 from studies.shared.clips import part, stacked
 
 #: What stage 2 is tuned over: its smoothness, the weight of its pose prior, and frames of the filter after it.
 GRID = (400.0, 100.0, 25.0, 6.0, 1.5, 0.4), (0.0, 0.01, 0.04, 0.2, 1.0, 5.0), (0, 5, 9, 15, 21, 31)
-
-
-@dataclass(frozen=True, eq=False)
-class CaseFit:
-    """The fits of one case: motions (B, T) after stage 1, 2 and 3, and the cameras that filmed them."""
-
-    stages: dict[int, Motion]
-    cameras: Sequence[Camera]
+#: The official weights but for smoothness, of which ``Choice.smoothness`` is the weight itself.
+_UNIT = replace(RGB, joints3d_smooth=(1.0, 1.0, 0.0))
 
 
 def fit_together(
     seen: Mapping[str, Scene], priors: Priors, *, batch: int = 24, workers: int = 1, **how
-) -> dict[str, CaseFit]:
-    """Fit the clips of all cases in batches of at most ``batch``, whatever case they belong to, in as many processes.
-
-    how: goes to ``fit``.
-    """
+) -> dict[str, dict[int, Motion]]:
+    """Fit the clips of all cases in batches of at most ``batch``, whatever case they belong to, in as many processes:
+    by case the motions (B, T) after stages 1, 2 and 3. how: goes to ``fit``."""
     cameras = [camera for each in seen.values() for camera in each.cameras]
     every = [part(each.observation, k) for each in seen.values() for k in range(len(each.cameras))]
     every = stacked(every, camera=None, name="")
@@ -49,7 +41,7 @@ def fit_together(
     stages, fits, start = {k: _joined([f[k] for f in found]) for k in found[0]}, {}, 0
     for name, scene in seen.items():
         mine = slice(start, start + len(scene.cameras))
-        fits[name] = CaseFit({k: motion.clip(mine) for k, motion in stages.items()}, scene.cameras)
+        fits[name] = {k: motion.clip(mine) for k, motion in stages.items()}
         start = mine.stop
     return fits
 
@@ -83,54 +75,38 @@ def scores(motion: Motion, truth: Motion) -> dict[str, Tensor]:
     }
 
 
-@dataclass(frozen=True)
-class Rival:
-    """A stage 2 with the weights and the filter that serve it best: smoothness and pose prior over the official ones,
-    frames of a Savitzky-Golay filter over what it found."""
-
-    smoothness: float
-    pose: float
-    window: int
-
-
 def tried(
     practice: Mapping[str, Scene], priors: Priors, schedule: Schedule, *, smoothness: Sequence[float] = GRID[0],
     pose: Sequence[float] = GRID[1], windows: Sequence[int] = GRID[2], **how,
-) -> dict[Rival, dict[str, dict[str, Tensor]]]:  # fmt: skip
+) -> dict[Choice, dict[str, dict[str, Tensor]]]:  # fmt: skip
     """Scores stage 2 on practice scenes, by rival and scene: every smoothness, weight of
     the pose prior and filter. how: goes to :func:`fit_together`."""
     found = {}
     for smooth, prior in product(smoothness, pose):
-        weights = with_smoothness(smooth, prior)
+        weights = Choice(smooth, prior, 0).weights(_UNIT)
         fits = fit_together(practice, priors, schedule=schedule.without_stage_3(), weights=weights, **how)
         for window in windows:
-            filtered = {name: smoothed(fits[name].stages[2], window) for name in practice}
-            found[Rival(smooth, prior, window)] = {n: scores(filtered[n], s.truth) for n, s in practice.items()}
+            filtered = {name: smoothed(fits[name][2], window) for name in practice}
+            found[Choice(smooth, prior, window)] = {n: scores(filtered[n], s.truth) for n, s in practice.items()}
     return found
 
 
-def rival_of(found: Mapping[Rival, Mapping[str, Mapping[str, Tensor]]], scene: str, measure: str) -> Rival:
+def rival_of(found: Mapping[Choice, Mapping[str, Mapping[str, Tensor]]], scene: str, measure: str) -> Choice:
     """Chooses the rival with the least mean of a measure on one practice scene."""
     return min(found, key=lambda rival: found[rival][scene][measure].nanmean().item())
 
 
 def fit_rivals(
-    seen: Mapping[str, Scene], rivals: Mapping[str, Rival], priors: Priors, schedule: Schedule, **how
+    seen: Mapping[str, Scene], rivals: Mapping[str, Choice], priors: Priors, schedule: Schedule, **how
 ) -> dict[str, Motion]:
     """Fits each scene by its own rival, filter included. how: goes to :func:`fit_together`."""
     found, by_weights = {}, {}
     for name, rival in rivals.items():
-        by_weights.setdefault((rival.smoothness, rival.pose), {})[name] = seen[name]
+        by_weights.setdefault(rival._replace(window=0), {})[name] = seen[name]
     for which, some in by_weights.items():
-        fits = fit_together(some, priors, schedule=schedule.without_stage_3(), weights=with_smoothness(*which), **how)
-        found |= {n: smoothed(fits[n].stages[2], rivals[n].window) for n in some}
+        fits = fit_together(some, priors, schedule=schedule.without_stage_3(), weights=which.weights(_UNIT), **how)
+        found |= {n: smoothed(fits[n][2], rivals[n].window) for n in some}
     return {name: found[name] for name in seen}
-
-
-def with_smoothness(weight: float, pose: float = 1.0) -> Weights:
-    """The official weights for keypoints with another smoothness and so many times the pose prior in stages 1 and 2."""
-    early = RGB.pose_prior[1] * pose
-    return replace(RGB, joints3d_smooth=(weight, weight, 0.0), pose_prior=(early, early, 0.0))
 
 
 def on_the_floor(motion: Motion) -> Motion:
@@ -164,7 +140,7 @@ def later_error(fit: Motion, truth: Motion, gap: Sequence[int]) -> tuple[Tensor,
 
     Before is NaN where nothing comes before.
     """
-    error = CM * error_over_time(fit, truth, align="none")
+    error = CM * metrics.joint_errors(fit.positions, truth.positions, align="none").mean(-1)
     last = max(gap) + 1
     after = error[..., last:] if last < error.shape[-1] else error[..., min(gap) :]
     return error[..., : min(gap)].mean(-1), after.mean(-1)

@@ -1,11 +1,13 @@
 """The program of a fit, timed: one closure of stage 3 step by step, the whole schedule, and its shares.
 
-A closure is one evaluation of the energy with its gradient, which L-BFGS asks for again and again.
+A closure is one evaluation of the energy with its gradient, which L-BFGS asks for again and again. The schedule falls
+into phases in which every closure costs the same: the program takes, over all phases, closures times seconds of one.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
@@ -16,10 +18,10 @@ from motionlab.humor import stages
 from motionlab.humor.pretrained import load_priors
 from motionlab.humor.priors import Priors
 from motionlab.humor.rollout import Rollout
+from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import Posed, Rolled
 from motionlab.motion import Motion
 from studies.nb06_profile import figures
-from studies.nb06_profile.closure_budget import Spent
 from studies.nb06_profile.official_profile import LABEL, Official
 from studies.shared import savings
 from studies.shared.profiling import Stopwatch
@@ -32,6 +34,8 @@ CAUSE = {"roll-out and its gradient": 50.0}
 #: States (B, T, 339) of a roll-out, what else it found, and the poses in the closure's own form.
 Chain = tuple[Tensor, Rollout, Tensor]
 _FUNCTION = ("first state", "chain")  # what the official code calls its roll-out function
+#: Of the official video demo.
+OFFICIAL = Schedule(steps=(30, 80, 70))
 
 
 class Closure:
@@ -98,15 +102,71 @@ class Bars:
 
 
 # ------------------------------------------------------------------------------------------------- the whole schedule
-def contenders(one: Workload, many: Workload) -> dict[str, tuple[Workload, Savings]]:
-    """Returns the two forms, of one clip and of a batch ("lean, batch")."""
-    batch = {f"{form}, batch": (many, on) for form, on in FORMS.items()}
-    return {form: (one, on) for form, on in FORMS.items()} | batch
+@dataclass(frozen=True)
+class Phase:
+    """A part of a fit: its name, the closure that it repeats, and how often."""
+
+    name: str
+    part: Part
+    closures: int
 
 
-def schedule(spent: Spent) -> list[dict[str, object]]:
-    """Lists the phases of a schedule."""
-    return [{"phase": p.name, "frames": p.part.frames, "closures at most": p.closures} for p in spent.phases]
+def phases(frames: int) -> list[Phase]:
+    """The budget: an outer step may take 5/4 as many closures as it has iterations, torch's default limit."""
+    each, (one, two, three) = OFFICIAL.inner * 5 // 4, OFFICIAL.steps
+    begin, end = OFFICIAL.refine
+    short = min(OFFICIAL.short, frames)
+    return [
+        Phase("stage 1: root", Part(1, frames), each * one),
+        Phase("stage 2: pose", Part(2, frames), each * two),
+        Phase(f"stage 3: first {short} frames", Part(3, short), each * begin),
+        Phase("stage 3: first state fixed", Part(3, frames, first_fixed=True, contacts=False), each * (end - begin)),
+        Phase("stage 3: everything", Part(3, frames), each * (three - end)),
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Spent:
+    """Seconds of one closure of every phase, by part (``savings.Mark``), (n,): one number per round of measuring."""
+
+    phases: tuple[Phase, ...]
+    seconds: tuple[dict[str, Tensor], ...]
+
+    def program(self, *parts: str, stage: int | None = None) -> Tensor:
+        """Seconds (n,) of the whole program; of some parts of the closures or one stage alone where they are named."""
+        total = 0.0
+        for phase, spent in zip(self.phases, self.seconds, strict=True):
+            if stage in (None, phase.part.stage):
+                total = total + phase.closures * sum(x for name, x in spent.items() if not parts or name in parts)
+        return total
+
+    def minutes(self) -> dict[str, dict[str, float]]:
+        """Minutes that the program spends in each part of each phase, from medians."""
+        return {
+            phase.name: {name: phase.closures * x.median().item() / 60 for name, x in spent.items()}
+            for phase, spent in zip(self.phases, self.seconds, strict=True)
+        }
+
+
+def spend(contenders: Mapping[str, tuple[Workload, Savings]], *, n: int) -> dict[str, Spent]:
+    """Time one closure of each phase of each contender, in n rounds through all of them after one more."""
+    tables = {name: phases(work.frames) for name, (work, _) in contenders.items()}
+    calls = {name: [work.closure(phase.part, on) for phase in tables[name]] for name, (work, on) in contenders.items()}
+    rounds = [{name: [_parts(closure) for closure in row] for name, row in calls.items()} for _ in range(1 + n)][1:]
+
+    def columns(rows: Sequence[dict[str, float]]) -> dict[str, Tensor]:
+        return {name: torch.tensor([row[name] for row in rows], dtype=torch.float64) for name in rows[0]}
+
+    return {
+        name: Spent(tuple(table), tuple(map(columns, zip(*(r[name] for r in rounds), strict=True))))
+        for name, table in tables.items()
+    }
+
+
+def _parts(closure: Callable[..., Tensor]) -> dict[str, float]:
+    watch = Stopwatch(time.process_time)
+    closure(mark=watch)
+    return watch.seconds
 
 
 def minutes(spent: Spent) -> dict[str, dict[str, float]]:

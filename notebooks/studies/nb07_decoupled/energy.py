@@ -134,15 +134,10 @@ def posed(states: Tensor, betas: Tensor, evidence: Evidence, rolled: Rollout | N
 
 
 def whole(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
-    """The weighted terms (B,) of stage 3 of the exact roll-out of x_0 and z, and that roll-out."""
+    """The weighted terms (B,) of stage 3 of the exact roll-out of x_0 and z, and that roll-out: what every variant is
+    judged by."""
     first = to_states(unknown["x"][:, 0])
     rolled = rollout(problem.priors.motion, first, unknown["z"])
     states = torch.cat((first[:, None], rolled.states), 1)
     body = posed(states, unknown["betas"], problem.evidence, rolled)
     return stages.rolled_terms(problem, body), body
-
-
-def rolled_out(problem: Problem, unknown: Unknown) -> tuple[Terms, Rolled]:
-    """What every variant is judged by: ``whole``, without gradients."""
-    with torch.no_grad():
-        return whole(problem, unknown)

@@ -28,7 +28,7 @@ from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import motion_of
 from motionlab.motion import Motion
-from studies.nb07_decoupled.energy import Unknown, posed, prior_of, rolled_out, to_persistent, to_states
+from studies.nb07_decoupled.energy import Unknown, posed, prior_of, to_persistent, to_states, whole
 from studies.nb07_decoupled.search import Found, Plan, search
 from studies.shared.clips import part
 from studies.shared.joints import noisy
@@ -97,17 +97,18 @@ def solved(scene: Scene, priors: Priors, schedule: Schedule, frames: int) -> dic
 
 
 # ------------------------------------------------------------------------------------------------------- the judge
+@torch.no_grad()
 def motions(known: Case, unknown: Unknown) -> dict[str, Motion]:
     """ "x": the persistent states as they are. "roll-out": the exact roll-out of x_0 and z."""
-    with torch.no_grad():
-        kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
-        _, rolled = rolled_out(known.problem, unknown)
+    kept = posed(to_states(unknown["x"]), unknown["betas"], known.problem.evidence)
+    _, rolled = whole(known.problem, unknown)
     return {name: motion_of(found.body, known.truth.fps) for name, found in (("x", kept), ("roll-out", rolled))}
 
 
+@torch.no_grad()
 def energy(known: Case, unknown: Unknown) -> dict[str, Tensor]:
     """The energy (B,) of stage 3, of the exact roll-out, nats."""
-    return {"energy": sum(rolled_out(known.problem, unknown)[0].values()) / known.problem.weights.motion_prior[2]}
+    return {"energy": sum(whole(known.problem, unknown)[0].values()) / known.problem.weights.motion_prior[2]}
 
 
 def judged(known: Case, unknown: Unknown, frames: int | None = None) -> dict[str, Tensor]:
@@ -156,11 +157,6 @@ def found_again(
         run = search(known.problem, {**solution, "z": z}, plan, evaluations, **how)
         found[name] = torch.stack([seen["z"] for seen in run.watched.values()])
     return found, {name: apart(says.mean) for name, says in free.items()}
-
-
-def nearest(apart: Tensor) -> Tensor:
-    """1 where a clip's z is nearer to its own solution than to any other, of differences (B, B): (B,)."""
-    return (apart.argmin(1) == torch.arange(len(apart))).double()
 
 
 def flexion(known: Case, z: Tensor) -> Tensor:

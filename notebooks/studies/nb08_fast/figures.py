@@ -11,8 +11,7 @@ from motionlab.motion import Motion
 from motionlab.viz.movie import Mesh, stage
 from motionlab.viz.palette import LINE, colour
 from studies.nb08_fast import race
-from studies.nb08_fast.nudge import Nudged
-from studies.nb08_fast.trials import Run, Task
+from studies.nb08_fast.trials import Nudged, Run, Task
 from studies.shared.plots import canvas, paints
 
 ROLES = {

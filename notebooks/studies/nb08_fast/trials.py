@@ -1,6 +1,7 @@
 """Stage 3 by several solvers from the same stage 2: what each has found after how much processor time.
 
-All lower the same energy, that of an exact roll-out (``stages.motion_terms``), in the same unknowns.
+All lower the same energy, that of an exact roll-out (``stages.motion_terms``), in the same unknowns. Below: what
+becomes of one nudge of one latent, in a plain roll-out and in one that steers itself.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -17,6 +19,7 @@ from motionlab.humor import start as starts
 from motionlab.humor.energies import Weights
 from motionlab.humor.evidence import evidence
 from motionlab.humor.priors import Priors
+from motionlab.humor.rollout import steered_rollout
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import FIRST, Unknowns
@@ -157,12 +160,11 @@ class Log:
 @dataclass(frozen=True)
 class Single:
     """How single shooting searches: iterations of its three parts (the first 15 frames; all, the first state frozen,
-    without contacts; everything), pairs that L-BFGS remembers, the share of its own first energy that an iteration must
-    gain, and what share of the prior its start has. The default is that of ``testops.fit`` in lean mode."""
+    without contacts; everything), pairs that L-BFGS remembers, and what share of the prior its start has. The default
+    is that of ``testops.fit`` in lean mode."""
 
     iterations: tuple[int, int, int] = (20, 40, 660)
     memory: int = 100
-    tolerance: float = 1e-5
     eager: float = starts.DAMPING_ROLLOUT
 
 
@@ -196,7 +198,7 @@ def _descended(task: Task, unknown: Unknowns, moving, inner, how: Single, log: L
 
     with torch.no_grad():
         begun = sum(stages.motion_terms(task.problem, old(new, slice(None)), **what).values())
-    enough = how.tolerance * begun.abs().nan_to_num(0.0, 0.0, 0.0)
+    enough = 1e-5 * begun.abs().nan_to_num(0.0, 0.0, 0.0)  # of its own first energy, as in ``testops.fit``
     fit = minimise_batch(energy, new, steps=1, inner=inner, memory=how.memory, tolerance_change=enough)
     return old(fit.variables, slice(None)).detached()
 
@@ -235,3 +237,34 @@ def _seated(task: Task) -> Unknowns:
     with torch.no_grad():
         latent = task.problem.priors.pose.encode(sits.rot[:, :, 1:]).mean
     return replace(task, rough=sits, latent=latent).begun(starts.DAMPING_SHOOTING, trust).unknown
+
+
+# ------------------------------------------------------------------------------------------------------- a nudge
+class Nudged(NamedTuple):
+    """Motions (T,) of the roll-out as it was, and nudged without and with feedback; apart: how far the nudged ones are
+    from it, mean over joints, cm (T,), by way."""
+
+    before: Motion
+    after: dict[str, Motion]
+    apart: dict[str, Tensor]
+
+
+def nudged(task: Task, unknown: Unknowns, number: int, sigmas: float) -> Nudged:
+    """Adds so many of the prior's standard deviations to all of z_number of one clip, in random directions, and rolls
+    out with the other latents held (open loop) or answering (closed loop)."""
+    white = coordinates.linearised(task.problem, unknown, stride=4)
+    with torch.no_grad():
+        first, z = unknowns.first_state(unknown, task.problem.priors), unknown.z
+        plain, _ = steered_rollout(task.problem.priors.motion, first, z)
+        push = torch.zeros_like(z)
+        sign = torch.randn(z.shape[-1], generator=torch.Generator().manual_seed(number)).sign()
+        push[0, number - 1] = sigmas * sign * (0.5 * plain.prior.log_var[0, number - 1]).exp()
+        ways = {"open loop": (z + push, None), "closed loop": (white.base + push, white.gains.transpose(0, 1))}
+        rolled = {way: steered_rollout(task.problem.priors.motion, first, *how)[0] for way, how in ways.items()}
+        bodies = {
+            way: unknowns.motion_of(unknowns.rolled_from(first, r, unknown, task.problem.evidence).body, 30.0).clip(0)
+            for way, r in {"before": plain, **rolled}.items()
+        }
+    before = bodies.pop("before")
+    apart = {way: CM * (m.positions - before.positions).norm(dim=-1).mean(-1) for way, m in bodies.items()}
+    return Nudged(before, bodies, apart)

@@ -7,12 +7,10 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from motionlab.body import BodyModel
 from motionlab.diffusion.model import MotionDiffusion
 from motionlab.diffusion.sampling import NoiseSchedule, noise_like
 from motionlab.motion import Motion
 from motionlab.skeleton import BALLS, STANDARD
-from motionlab.viz import movie
 from motionlab.viz.palette import INK, ROLE
 from studies.shared import small_models
 from studies.shared.plots import canvas, paints
@@ -65,12 +63,6 @@ def walked(
         mean, variance = few.posterior(guess, x, t)
         x = mean + variance.sqrt() * noise_like(x, generator) if t else mean
     return left, guesses
-
-
-def rows(named: Mapping[str, Motion], body: BodyModel | None = None, n: int = 7) -> np.ndarray:
-    """Key poses of windows (1, T), a row each, (H, W, 3); places on the floor are taken out."""
-    some = {name: motion.clip(0) for name, motion in named.items()}
-    return movie.strip(some, n, roles=ROLES, body=body, size=(760, 190), azimuth=25)
 
 
 def schedules(named: Mapping[str, NoiseSchedule], errors: Mapping[str, Mapping[int, Tensor]]) -> Figure:

@@ -109,8 +109,3 @@ def by_band(a: Motion, b: Motion) -> dict[str, float]:
         change, between = ((p - q)[:, rows].square().mean() for p, q in ((x, y), (y, y.roll(1, 0))))
         found[band] = float((change / between).sqrt())
     return found
-
-
-def quick(a: Motion, b: Motion) -> float:
-    """The same of what is quicker than 4 Hz."""
-    return by_band(a, b)["above 4 Hz"]

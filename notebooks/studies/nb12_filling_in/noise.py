@@ -65,17 +65,14 @@ def denoise(
 ) -> Motion:  # fmt: skip
     """Computes denoised motions (B, T), where they were in the world, by the reverse process.
 
-    It begins at the step with the same noise. rough: about the same motions, as a filter leaves them: the frame of
-    reference is that of its first frame, contacts are measured on it. A model that takes known values gets none; one of
-    velocities, whose noise is not the joints', is none for this.
+    It begins at the step with the same noise. model: with the stuck root and contacts. rough: about the same motions,
+    as a filter leaves them: the frame of reference is that of its first frame, contacts are measured on it.
     """
     size = noise_size(model.layout, model.normaliser, noise.turn, noise.shift)
     whole = size[size > 0].square().mean().sqrt().item() * start.level
-    frame = stuck_root(rough)[1] if model.layout.frame == "stuck" else None
-    given = rough if start.filtered else noisy
-    local = world_to_local(frame, given) if frame else given
-    if model.layout.contacts:
-        local = replace(local, contacts=with_contacts(rough).contacts)
+    frame = stuck_root(rough)[1]
+    local = world_to_local(frame, rough if start.filtered else noisy)
+    local = replace(local, contacts=with_contacts(rough).contacts)
     y = model.normaliser.apply(replace(model.layout, frame="world").encode(local))
     t = _begin(model.schedule, whole)
     signal, stamps = model.schedule.alpha_bar[t].sqrt().to(y), model.schedule.stamps[t].expand(len(y))
@@ -83,8 +80,7 @@ def denoise(
     total = torch.zeros_like(y)
     for _ in range(start.looks):
         total = total + model.denoiser(signal * (y + more * sampling.noise_like(y, generator)), stamps)
-    made = model.decode(total / start.looks, noisy.skeleton)
-    return replace(local_to_world(frame, made) if frame else made, name=noisy.name)
+    return local_to_world(frame, model.decode(total / start.looks, noisy.skeleton))
 
 
 def wiener(rivals: Rivals, motion: Motion, rough: Motion, noise: Noise) -> Motion:

@@ -4,7 +4,7 @@ Source: thesis 4.4.2, "motion switching". The best cut: motion graphs (Kovar et 
 recordings are most alike, and a cross-fade there. It sees both recordings inside the gap, which the others do not.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from motionlab import bench, rotation
 from motionlab.animate.foot_locking import lock_feet
-from motionlab.bench import PersonWindows, by_person
+from motionlab.bench import PersonWindows
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import gather, on_standard
@@ -118,8 +118,3 @@ def measured(made: Motion, a: Motion, b: Motion) -> dict[str, Tensor]:
         SKATE: 100 * skating_ratio(p[..., STANDARD.indices(BALLS), :], made.fps),
         CALM: (mean_acceleration(p, made.fps) / usual).log().abs(),
     }
-
-
-def by_people(made: Mapping[str, Motion], a: PersonWindows, b: Motion) -> dict[str, dict[str, Tensor]]:
-    """By name and measure: the mean (P,) of each person."""
-    return {n: {k: by_person(x, a.whose) for k, x in measured(m, a.motion, b).items()} for n, m in made.items()}

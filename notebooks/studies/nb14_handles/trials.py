@@ -12,8 +12,7 @@ from motionlab.diffusion.poses import NUMBERS, Poser, finished
 from motionlab.metrics import masked_mean
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
-from studies.nb14_handles.people import SETS, Poses, handles
-from studies.nb14_handles.rivals import Known
+from studies.nb14_handles.people import SETS, Known, Poses, handles
 
 _LOT = 204  # poses of a kind: 12 of each of 17 people
 #: Poses, their handles (N, 22) and a generator to poses (N, 1). Only places of handles are read, unless it says so.

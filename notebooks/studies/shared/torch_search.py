@@ -3,25 +3,11 @@
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from motionlab.errors import NotConverged
-
-
-class FitResult(NamedTuple):
-    """variables: the point with the lowest energy that was evaluated, not merely the last one. history: energy per
-    closure (one evaluation of energy and gradient), in order."""
-
-    variables: dict[str, Tensor]
-    history: list[float]
-
-    @property
-    def closures(self) -> int:
-        """Evaluations of energy and gradient that were paid for."""
-        return len(self.history)
 
 
 class _Stop(Exception):
@@ -32,8 +18,9 @@ def minimise(
     energy: Callable[[dict[str, Tensor]], Tensor], variables: Mapping[str, Tensor], *, method: str = "lbfgs",
     steps: int = 100, max_closures: float = math.inf, lr: float = 1.0, inner: int = 20, memory: int = 100,
     tolerance_grad: float = 1e-7,
-) -> FitResult:  # fmt: skip
-    """Lowers an energy, a scalar from all variables by name, by moving those that require gradients.
+) -> tuple[dict[str, Tensor], list[float]]:  # fmt: skip
+    """Lowers an energy, a scalar from all variables by name, by moving those that require gradients: the point with the
+    lowest energy that was evaluated, and the energies of all closures (evaluations of energy and gradient), in order.
 
     The tensors passed in are copied, never moved. A spent budget or a number that is not finite ends the search; NaN is
     never returned.
@@ -84,4 +71,4 @@ def minimise(
     with torch.no_grad():
         for value, kept in zip(moving, best, strict=True):
             value.copy_(kept)
-    return FitResult({name: value.detach() for name, value in point.items()}, history)
+    return {name: value.detach() for name, value in point.items()}, history
