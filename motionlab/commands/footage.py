@@ -115,8 +115,10 @@ def _named(folder: Path | None, files: tuple[str, ...], inside: tuple[str, ...])
     """The files of a folder with these suffixes, and the folders that hold some with those, by name without suffix."""
     if folder is None:
         return {}
+    if not folder.is_dir():
+        raise DataError("no such folder", path=folder, remedy="with --each, name folders that hold the clips")
     found = {}
-    for path in sorted(folder.glob("*")):
+    for path in sorted(folder.iterdir()):
         each, wanted = (path.iterdir(), inside) if path.is_dir() else ([path], files)
         if path.name.startswith(".") or not any(one.suffix.lower() in wanted for one in each):
             continue

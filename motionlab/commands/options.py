@@ -196,7 +196,7 @@ def _add_fit(add: Callable) -> None:
     option("--height", type=_height, metavar="METRES", help="of the person who is fitted, where that is no adult's")
     text = "of a clip of up to 6 s, K other motions that explain as well what was seen, and how far off hidden limbs "
     option("--draws", type=int, default=0, metavar="K", help=f"{text}may be")
-    text = "of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more"
+    text = "of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, 6 s in one piece, a minute or more"
     option("--solver", choices=("shooting", "rollout"), default="shooting", help=text)
     option("--quick", action="store_true", help="few steps, a small film: a first look")
     text = "the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/"

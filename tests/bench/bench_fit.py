@@ -49,10 +49,10 @@ def official(some: list[race.Clip]) -> Ends:
     for clip in some:
         task, began = clip.task, clock()
         unknown, _ = official_schedule.in_full(task, official_schedule.FULL)
-        spent, problem = clock() - began, replace(task.problem, mode="official", parametrisation=OFFICIAL)
+        spent, problem = clock() - began, replace(task.problem, **OFFICIAL)
         with torch.no_grad():
             energy = sum(stages.motion_terms(problem, unknown).values())
-            body = OFFICIAL.roll(unknown, problem.priors, problem.evidence).body
+            body = problem.roll(unknown, problem.priors, problem.evidence).body
         error = task.error(unknowns.motion_of(body, task.truth.fps))
         ends.append((torch.tensor([spent]), energy / task.nat, error))
     return tuple(torch.cat(x) for x in zip(*ends, strict=True))
