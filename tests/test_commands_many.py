@@ -213,7 +213,7 @@ def test_clips_are_put_together_by_their_names(footage):
     [
         (("--each", "--people"), "lists the people of one clip"),
         (("--jobs", "2"), "give folders of clips and --each"),
-        (("--each", "--keypoints", "nowhere"), "holds no clips"),
+        (("--each", "--keypoints", "nowhere"), "no such folder"),
     ],
 )
 def test_options_of_many_clips_that_cannot_be_used(footage, monkeypatch, capsys, words, said):

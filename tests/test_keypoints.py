@@ -223,7 +223,7 @@ def test_numbers_of_frames_and_images_are_bounded(tmp_path):
         ('{"version": 1.3}', ("no known layout",)),
         ("[[[1, 2], [3, 4]]]", ("no known layout",)),
         ("[]", ("nobody",)),
-        ('[{"frame_id": -1, "instances": []}]', ("frame 0", "no number")),
+        ('[{"frame_id": -1, "instances": []}]', ("frame 0", "no frame's")),
         ('[{"frame_id": 1, "instances": []}, {"frame_id": 1, "instances": []}]', ("there twice",)),
         ('[{"image_id": 1, "keypoints": [1, 2]}]', ("frame 1, person 0", "x, y, confidence")),
         ("frame,person,keypoint,x,y\n0,0,0,1\n", ("line 2", "5 cells")),

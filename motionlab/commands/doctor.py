@@ -61,14 +61,18 @@ def _normal_name(name: str) -> str:
 def _check_packages() -> list[Check]:
     """The packages that motionlab asks for by name, against their pins where this is a checkout."""
     pins = _read_pins(ROOT / "constraints.txt") if (ROOT / "constraints.txt").exists() else {}
-    here = {_normal_name(each.name): each.version for each in metadata.distributions()}
-    if "motionlab" not in here:
+    try:
+        asked = [line for line in metadata.requires("motionlab") if "extra ==" not in line]
+    except metadata.PackageNotFoundError:
         return [Check("motionlab", "not installed", "make setup")]
-    checks, asked = [], (line for line in metadata.requires("motionlab") if "extra ==" not in line)
+    checks = []
     for name in (_normal_name(re.match(r"[\w.-]+", line)[0]) for line in asked):
-        version = here.get(name, "not installed")
+        try:
+            version = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            version = "not installed"
         wanted = pins.get(name, version)
-        agrees = name in here and version.split("+")[0] == wanted
+        agrees = version.split("+")[0] == wanted != "not installed"
         checks.append(Check(name, version, "" if agrees else f"pinned is {wanted}: make setup"))
     return checks
 

@@ -196,8 +196,8 @@ def _add_fit(add: Callable) -> None:
     option("--height", type=_height, metavar="METRES", help="of the person who is fitted, where that is no adult's")
     text = "of a clip of up to 6 s, K other motions that explain as well what was seen, and how far off hidden limbs "
     option("--draws", type=int, default=0, metavar="K", help=f"{text}may be")
-    text = "of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, 6 s in one piece, a minute or more"
-    option("--solver", choices=("shooting", "rollout"), default="shooting", help=text)
+    text = "of stage 3; rollout: HuMoR's schedule, in all stages, with its unknowns and weights, a minute or more; "
+    option("--solver", choices=("shooting", "rollout"), default="shooting", help=f"{text}up to 6 s in one piece")
     option("--quick", action="store_true", help="few steps, a small film: a first look")
     text = "the two paths are folders of clips, put together by their names: a scene for each, in FOLDER/NAME/"
     option("--each", action="store_true", help=text)
@@ -228,7 +228,9 @@ def _add_reading(command: argparse.ArgumentParser, rate: tuple[str, ...] = ("--f
     option("--unit", type=_metres, help="of lengths: m, cm, mm, inch, ft, or metres")
     text = "the file's axis that points up: y, z, ... (--up=-y)"
     axis("--up", type=lambda axis: axis.lower().removeprefix("+"), choices=UP, metavar="AXIS", help=text)
-    axis("--axes", metavar="XYZ", help="instead: the file's axes that become x, y and z, up; as --axes=x-zy")
+    axis(
+        "--axes", type=_axes, metavar="XYZ", help="instead: the file's axes that become x, y and z, up; as --axes=x-zy"
+    )
     option(*rate, dest="fps_in", type=float, metavar="FPS", help="frames per second of the file")
     text = "of bones that change their length: refuse, or keep the mean"
     option("--translations", choices=("strict", "mean"), help=text)
@@ -293,3 +295,11 @@ def _metres(text: str) -> float | None:
 
     metres = unit_named(text) or float(text)
     return metres if 0 < metres < math.inf else None
+
+
+@checked('a right-handed choice such as "xyz" or "x-zy"')
+def _axes(text: str) -> str:
+    from motionlab.io.judging import axes_to_matrix
+
+    axes_to_matrix(text)
+    return text

@@ -43,7 +43,7 @@ class Plan:
     are differentiated. mode_jumps: components of the first state's mixture whose modes a clip tries in a round
     (``mixture_modes``), if they promise more. halving_after: where a clip jumps, closures after which only the lowest
     search of each clip goes on; where that is the one that stayed, the clip jumps no more. 0: all go on, in every
-    round. trial_rounds: before the first jumps, in which a second start, if there is one, goes along; 0: it is not used.
+    round. trial_rounds: before the first jumps; a second start, if there is one, goes along in them, else never.
     trial_stride: the least stride of these. ridge: added to the matrix of z; damping: instead of it in the first
     rounds, where the matrix is too sure of itself.
     """

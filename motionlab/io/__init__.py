@@ -91,6 +91,7 @@ _NOT_ONE_FILE = {
     ".blend": "in Blender: export BVH",
     ".asf": "name the .amc: the .asf is found beside it",
     ".bin": "the numbers of a .gltf, which reads them",
+    ".npz": "its keys are of no motion that is read",
     "": "a folder of OpenPose frames is read with motionlab.io.keypoints.load_person",
     **dict.fromkeys((".json", ".txt"), "neither frames of OpenPose nor of DeepMimic"),
 }

@@ -200,8 +200,8 @@ def collect(at: Location, detector: str, frames: Iterable[tuple[int, Iterable]],
             at.place = f"frame {number}, person {k}"
             seen.append(read(person))
         if number is None or number in found.frames:
-            what = "this frame is there twice" if number in found.frames else f"frame {len(found.frames)} has no number"
-            raise at.error(what, place=f"frame {number}")
+            what = "its number is no frame's" if number is None else f"frame {number} is there twice"
+            raise at.error(what, place=f"frame {len(found.frames)}")
         counts = {len(points) for points, _ in seen if len(points)}
         if len(counts) > 1:
             raise at.error("people have different numbers of keypoints")

@@ -107,6 +107,8 @@ def _of_glb(at: Location, data: bytes) -> tuple[bytes, bytes]:
         size, kind = struct.unpack_from("<I4s", data, start)
         found.setdefault(kind, data[start + 8 : start + 8 + size])
         start += 8 + size
+    if start > len(data) or JSON_CHUNK not in found:
+        raise at.error(f"its chunks {[*found]} end at byte {start} of {len(data)}", place="header")
     return found[JSON_CHUNK], found.get(BIN_CHUNK, b"")
 
 

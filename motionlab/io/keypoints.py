@@ -415,7 +415,7 @@ def continued(
     alive: list[_Track] = []
     for frame in sorted(starts):
         alive = [track for track in alive if frame - track.people[-1][0] <= gap]
-        if len(alive) > 2 * _MOST:
+        if by_box and len(alive) > 2 * _MOST:
             alive = sorted(alive, key=lambda track: track.people[-1][0])[-2 * _MOST :]
         free = {key: frames[frame][tracks[key][0][1]][:_BODY] for key in starts[frame]}
         found: dict[Hashable, _Track] = {}
@@ -426,7 +426,8 @@ def continued(
         for key, person in free.items():
             track = found.get(key) or _Track([], [], person, person)
             if key not in found:
-                everybody.append(track), alive.append(track)
+                everybody.append(track)
+                alive.append(track)
             track.keys.append(key)
             for at, index in tracks[key]:
                 track.add(at, index, frames[at][index][:_BODY])

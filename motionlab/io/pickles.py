@@ -113,12 +113,18 @@ _BUILT = {
     )},
     "torch.Size": tuple,
     **{f"torch.{name}Storage": kind for name, kind in {
-        "Double": torch.float64, "Float": torch.float32, "Half": torch.float16, "Long": torch.int64, "Int": torch.int32,
-        "Short": torch.int16, "Char": torch.int8, "Byte": torch.uint8, "Bool": torch.bool,
+        "Double": torch.float64, "Float": torch.float32, "Half": torch.float16, "BFloat16": torch.bfloat16,
+        "Long": torch.int64, "Int": torch.int32, "Short": torch.int16, "Char": torch.int8, "Byte": torch.uint8,
+        "Bool": torch.bool, "ComplexFloat": torch.complex64, "ComplexDouble": torch.complex128,
     }.items()},
 }  # fmt: skip
 _SPARSE = re.compile(r"scipy\.sparse\.(?:_?(?:csc|csr|coo)\.)?(csc|csr|coo)_(?:matrix|array)")
 _CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
+#: What may lie beside what is asked for, and is no array.
+_PASSIVE = re.compile(
+    r"torch\.(?:_utils\._rebuild_\w+|(?:storage\.)?\w+Storage|serialization\._get_layout|device|bool|[a-z]+\d+\w*)"
+    r"|builtins\.complex|collections\.Counter"
+)
 
 
 class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memory than there is file
@@ -135,11 +141,13 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
             return _record(sparse[1])
         if _CHUMPY.fullmatch(module):
             return _record("chumpy")
+        if _PASSIVE.fullmatch(full):
+            return _record(full)
         raise _refused(self.at, f"{module}.{name}")
 
     def persistent_load(self, what: tuple) -> _Record:
         word, kind, key, *_ = what
-        if word != "storage" or not isinstance(kind, torch.dtype):
+        if word != "storage":
             raise _refused(self.at, f"what it calls {word}")
         return self.storages.setdefault(key, _record("storage")(kind))
 
@@ -196,15 +204,16 @@ def array_of(at: Location, value: object) -> np.ndarray:
             picked = array_of(at, state["a"]).ravel()[array_of(at, state["idxs"]).ravel()]
             shape = state.get("preferred_shape")
             return picked if shape is None else picked.reshape(_shape(at, shape))
-    if value.name == "_rebuild_parameter":
+    if value.name in ("_rebuild_parameter", "_rebuild_parameter_with_state"):
         return array_of(at, value.args[0])
     if value.name == "_rebuild_tensor_v2":
         stored, offset, size, stride = value.args[:4]
         stored = _of_torch(at, *stored.args) if stored.name == "_load_from_bytes" else stored
         whole = torch.frombuffer(bytearray(stored.state), dtype=stored.args[0]) if stored.state else torch.empty(0)
-        if math.prod(size) > LARGEST // 8:
-            raise at.error(f"a tensor of shape {tuple(size)}")
-        return whole.as_strided(size, stride, offset).numpy().copy()
+        if math.prod(size) > max(whole.numel(), 2**20) or any(value.args[6:]):  # a view that is expanded or negative
+            raise at.error(f"a tensor of shape {tuple(size)} that holds {whole.numel()} numbers, or a view of another")
+        whole = whole.as_strided(size, stride, offset)
+        return (whole.float() if whole.dtype == torch.bfloat16 else whole).numpy().copy()
     raise at.error(f"holds a {value.name} object without an array in it")
 
 

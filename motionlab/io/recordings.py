@@ -4,6 +4,7 @@ The folder has one sub-folder per source, which is searched for files that a loa
 """
 
 import re
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -171,7 +172,15 @@ def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Itera
             views.add(path.parent)
             yield "openpose", path.parent, partial(keypoints.load_person, **_SAID.get(name, {"fps": video_fps}))
         elif suffix in io.LOADERS and (suffix not in _TEXTS or (b'"Frames"' in head and b"{" in head[:9])):
-            yield suffix[1:], path, io.LOADERS[suffix]
+            if suffix != ".npz" or _may_be_motion(path):
+                yield suffix[1:], path, io.LOADERS[suffix]
+
+
+def _may_be_motion(path: Path) -> bool:
+    """Whether an npz has a key that a loader reads; of one that cannot be opened, its loader says so."""
+    with suppress(Exception), zipfile.ZipFile(path) as archive:
+        return any(name.removesuffix(".npy") in io.NPZ_LAYOUTS for name in archive.namelist())
+    return True
 
 
 def _below(place: Path, flat: bool) -> list[Path]:

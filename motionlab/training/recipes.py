@@ -215,8 +215,11 @@ def train_pose_prior(
     Returns:
         the frozen model, and (step, reconstruction, KL) a hundred times.
     Raises:
-        DataError: numbers that are not finite.
+        DataError: no poses, or numbers that are not finite.
     """
+    check_shape(rot, "N 21 3 3", "rot")
+    if len(rot) < 2 or not rot.isfinite().all():
+        raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
     odds = torch.ones(len(rot)) if weight is None else weight
     seen = torch.ones(rot.shape[:2], dtype=torch.bool) if seen is None else seen
     run = _PosePriorRun(steps, batch, rot, seen, odds, generator)

@@ -193,7 +193,7 @@ class TrainingRun(ABC):
         """
         try:
             found = torch.load(path, map_location="cpu", weights_only=True)
-            if found["windows"] != data.digest:
+            if found.get("windows", found.get("examples")) != data.digest:  # as of ``transition`` once
                 raise DataError("trained on other windows", path=path, remedy=AFRESH)
             run = cls(cls.reads(found["recipe"]), data)
             run.model.load_state_dict(found["model"])
@@ -203,7 +203,7 @@ class TrainingRun(ABC):
             run.generator.set_state(found["generator"])
             run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
             run.skipped, run.in_a_row = found["skipped"]
-            run.earlier = found["earlier"]
+            run.earlier = found.get("earlier", 0)
             run.extra = {name: found[name] for name in run.extra}
         except DataError:
             raise
