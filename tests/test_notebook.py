@@ -1,8 +1,5 @@
-import matplotlib.pyplot as plt
-import numpy as np
 import pytest
 import torch
-from IPython.display import HTML
 
 from motionlab.errors import DataError
 from suite import findings, notebook
@@ -110,13 +107,3 @@ def test_tables_escape_what_would_break_them():
     text = notebook._markdown_table([{"a|b": "x|y\nz", "n": 0.123456}])
     assert text.splitlines()[2] == "| x\\|y z | 0.123 |"
     assert notebook._markdown_table([]) == "*(no rows)*"
-
-
-def test_figures_of_every_kind_are_shown(bench):
-    lab = bench("smoke")
-    fig = plt.figure()
-    picture = np.zeros((4, 6, 3), dtype=np.uint8)
-    lab.figure(fig, "02.1", "a plot")
-    lab.figure(picture, "02.2", "an image")
-    lab.figure(HTML("<img>"), "02.3", "a film")
-    assert not plt.get_fignums()
