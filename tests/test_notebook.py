@@ -1,3 +1,4 @@
+import matplotlib.pyplot as plt
 import pytest
 import torch
 
@@ -107,3 +108,8 @@ def test_tables_escape_what_would_break_them():
     text = notebook._markdown_table([{"a|b": "x|y\nz", "n": 0.123456}])
     assert text.splitlines()[2] == "| x\\|y z | 0.123 |"
     assert notebook._markdown_table([]) == "*(no rows)*"
+
+
+def test_a_figure_is_shown_once(bench):
+    bench("smoke").figure(plt.figure(), "02.1", "a plot")
+    assert not plt.get_fignums()  # else the notebook shows it again
