@@ -28,7 +28,7 @@ from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from studies.nb05_testops import cast as clips_of
 from studies.nb05_testops import measures, recordings
-from studies.shared.clips import everyday, takes
+from studies.shared.clips import everyday, stacked, takes
 from studies.shared.sitting import seated
 
 #: What a fit may spend; the first is the default of ``fit``, and "first look" that of ``fit --quick``.
@@ -79,10 +79,7 @@ def people_table(folder: Path, options: argparse.Namespace) -> None:
         for name in options.plans:
             found, spent = [], []
             for k in range(len(cast)):
-                seen = replace(
-                    scene.observation, keypoints=scene.observation.keypoints[k : k + 1],
-                    confidence=scene.observation.confidence[k : k + 1],
-                )  # fmt: skip
+                seen = stacked([scene.clip(k)], camera=None)
                 known = {"cameras": [scene.cameras[k]], "floor": "camera"} if how == "known" else {"size": size}
                 before = time.process_time()
                 found.append(testops.fit(seen, priors, schedule=PLANS[name], solver="shooting", **known).motion)
