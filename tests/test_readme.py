@@ -54,6 +54,8 @@ def desk(tmp_path_factory) -> Path:
 def is_a_film_of_the_walk(names: dict) -> None:
     reader = imageio.get_reader("walk.mp4")
     assert torch.allclose(names["walk"].positions, WALK.positions, atol=1e-5) and reader.count_frames() == 66
+    meta = reader.get_meta_data()
+    assert (meta["fps"], meta["codec"], meta["pix_fmt"][:7]) == (30, "h264", "yuv420p")  # what browsers play
     first, middle = (reader.get_data(frame).astype(float) for frame in (0, WALK.frames // 2))
     assert first.std() > 5 and abs(first - middle).max() > 50  # somebody is there, and moves
 
