@@ -147,8 +147,6 @@ def frame_motion(
 
 def _clear(points: Tensor, camera: Camera, occluders: Sequence[Occluder]) -> tuple[Tensor, Tensor]:
     """Share (T, 25) of nine sight lines to and around each point that pass all occluders; whether its own does."""
-    if not occluders:
-        return torch.ones_like(points[..., 0]), torch.ones_like(points[..., 0], dtype=torch.bool)
     right, down = camera.rotation[:2].to(points)
     turns = torch.arange(8) * (torch.pi / 4)
     ring = 0.04 * (turns.cos()[:, None] * right + turns.sin()[:, None] * down)
