@@ -7,6 +7,7 @@ from torch import Tensor
 
 from data_synth.anatomy import clearance, excess, height_at_rest
 from data_synth.perform import DOWN, LYING
+from motionlab.metrics import mean_acceleration
 from motionlab.motion import Motion
 
 #: Half the depth of the trunk, how much more its half width is, and half of a forearm, metres.
@@ -58,7 +59,7 @@ def audit(motion: Motion) -> Audit:
         limit_excess=float(beyond[worst].max()),
         at=" ".join(worst),
         arm_depth=float(arm_depth(motion).max()),
-        mean_acceleration=float(acceleration(motion).mean()),
+        mean_acceleration=float(mean_acceleration(motion.positions, motion.fps).mean()),
     )
 
 
@@ -84,9 +85,3 @@ def arm_depth(motion: Motion) -> Tensor:
     aside = (off * left).sum(-1, keepdim=True).clamp(-FLANK, FLANK)
     distance = (off - aside * left).norm(dim=-1)
     return (TRUNK + ARM - distance).clamp(min=0).amax(-1)
-
-
-def acceleration(motion: Motion) -> Tensor:
-    """Norm (..., T-2, J) of the second difference of joint positions, m/s^2."""
-    p = motion.positions
-    return (p[..., 2:, :, :] - 2 * p[..., 1:-1, :, :] + p[..., :-2, :, :]).norm(dim=-1) * motion.fps**2

@@ -1,6 +1,6 @@
 """From a motion to what a 2-D detector would say of it: keypoints, line of sight, noise and honest confidence.
 
-Truth never reaches a fitter: :func:`observe` keeps what only a judge may see in ``Capture.truth``.
+Truth never reaches a fitter: :func:`observe` keeps what only a judge may see apart, in a ``Truth``.
 """
 
 import math
@@ -53,14 +53,6 @@ class Truth:
     near: Tensor
 
 
-@dataclass(frozen=True, eq=False)
-class Capture:
-    """An observation, and apart from it the truth behind it."""
-
-    observation: Observation2D
-    truth: Truth
-
-
 def keypoints(motion: Motion, body: BodyModel) -> Tensor:
     """The 25 keypoints (..., T, 25, 3) in metres, world: joints by FK, nose to heels by skinning their vertices."""
     surface = [name for name in BODY_25 if name not in JOINTS]
@@ -74,8 +66,8 @@ def keypoints(motion: Motion, body: BodyModel) -> Tensor:
 def observe(
     motion: Motion, body: BodyModel, camera: Camera, generator: torch.Generator, occluders: Sequence[Occluder] = (), *,
     correlation: float = 0.5,
-) -> Capture:  # fmt: skip
-    """What a detector sees of one clip.
+) -> tuple[Observation2D, Truth]:  # fmt: skip
+    """What a detector sees of one clip, and apart from it the truth behind it.
 
     The error of each coordinate is Gaussian with
 
@@ -119,7 +111,7 @@ def observe(
     seen = torch.where(detected[..., None], pixels + error, 0.0)
     observation = Observation2D(seen, torch.where(detected, confidence, 0.0), BODY_25, motion.fps, camera, motion.name)
     visible = inside & centre_free & ~self_hidden
-    return Capture(observation, Truth(pixels, visible, clear, sigma, near[:, 0]))
+    return observation, Truth(pixels, visible, clear, sigma, near[:, 0])
 
 
 def frame_motion(
@@ -155,8 +147,6 @@ def frame_motion(
 
 def _clear(points: Tensor, camera: Camera, occluders: Sequence[Occluder]) -> tuple[Tensor, Tensor]:
     """Share (T, 25) of nine sight lines to and around each point that pass all occluders; whether its own does."""
-    if not occluders:
-        return torch.ones_like(points[..., 0]), torch.ones_like(points[..., 0], dtype=torch.bool)
     right, down = camera.rotation[:2].to(points)
     turns = torch.arange(8) * (torch.pi / 4)
     ring = 0.04 * (turns.cos()[:, None] * right + turns.sin()[:, None] * down)

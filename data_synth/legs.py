@@ -16,7 +16,7 @@ unit = partial(functional.normalize, dim=-1)  # x over its length
 
 def two_bone(
     start: Tensor, target: Tensor, hinge: Tensor, upper: float, lower: float, ease: float | Tensor = 0.0
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:
     """Middle and end joint of a two-bone limb that reaches for a target.
 
     The limb lies in the plane through start and target across ``hinge``; the middle joint lies towards
@@ -25,7 +25,7 @@ def two_bone(
     (..., 3) need not be unit nor orthogonal.
 
     Returns:
-        directions of the upper and of the lower bone (..., 3), unit hinge (..., 3), flexion (...) in radians.
+        directions of the upper and of the lower bone (..., 3), unit hinge (..., 3).
     Source: law of cosines.
     """
     line = target - start
@@ -38,8 +38,7 @@ def two_bone(
     sin = (1 - cos**2).clamp(min=0).sqrt()
     upper_way = cos[..., None] * u + sin[..., None] * torch.linalg.cross(u, axis, dim=-1)
     lower_way = (reach[..., None] * u - upper * upper_way) / lower
-    flexion = torch.pi - torch.acos(((upper**2 + lower**2 - reach**2) / (2 * upper * lower)).clamp(-1, 1))
-    return upper_way, lower_way, axis, flexion
+    return upper_way, lower_way, axis
 
 
 def heading_rotation(yaw: Tensor) -> Tensor:

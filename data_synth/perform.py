@@ -191,7 +191,7 @@ def _leg(rot, hip, pelvis_rot, foot, c, side, subject) -> None:
         foot_rot = sixd_to_matrix(mixed.mT.reshape(*mixed.shape[:-2], 6))
     hanging_back = ramp(c["lift"] / (0.012 + 0.06 * c["air"]) + c["loose"])
     ease = 0.02 * hanging_back + 0.07 * (c["bent"] + c["low"])
-    upper, lower, axis, _ = two_bone(hip, ankle, hinge, thigh, shin, ease)
+    upper, lower, axis = two_bone(hip, ankle, hinge, thigh, shin, ease)
     # local x along the hinge, local -y along the bone
     thigh_rot, shin_rot = (torch.stack((axis, -b, torch.linalg.cross(axis, -b, dim=-1)), -1) for b in (upper, lower))
     foot_rot = hanging(foot_rot, shin_rot, ramp(c["lift"] / 0.015))
@@ -231,7 +231,7 @@ def _arm_reach(rot, positions, orientations, c, side, subject) -> None:
     swing = orientations[:, name(f"{side}_shoulder"), :, 1]
     ease = (0.02 * grip + 0.4 * grip * (1 - grip))[:, 0]  # on the way no elbow snaps straight
     lengths = subject.length("left_elbow"), subject.length("left_wrist")
-    *bones, axis, _ = two_bone(shoulder, target, -sign * swing, *lengths, ease)
+    *bones, axis = two_bone(shoulder, target, -sign * swing, *lengths, ease)
     frames = ((sign * bone, -sign * axis, torch.linalg.cross(sign * bone, -sign * axis, dim=-1)) for bone in bones)
     upper_rot, lower_rot = (torch.stack(frame, -1) for frame in frames)
     used = (grip > 0)[..., None]

@@ -108,11 +108,10 @@ def _filmed(case: str, takes: Sequence[tuple], failure: Callable | None, seed: i
     """The scene of takes: motion, camera, what stands in the way, and the generator of the detector's noise."""
     shots = []
     for index, (motion, camera, things, generator) in enumerate(takes):
-        shot = capture.observe(motion, _flesh(), camera, generator, things)
-        clean = shot.observation
+        clean, hidden = capture.observe(motion, _flesh(), camera, generator, things)
         own = _generator(seed, case, index)  # a failure does not disturb the draws of the shooting
         seen, wrong = failure(clean, own) if failure else (clean, torch.zeros_like(clean.visible))
-        shots.append((clean.visible, seen.keypoints, seen.confidence, wrong, shot.truth.pixels))
+        shots.append((clean.visible, seen.keypoints, seen.confidence, wrong, hidden.pixels))
     visible, keypoints, confidence, wrong, pixels = map(torch.stack, zip(*shots, strict=True))
     motions, cameras, things, _ = zip(*takes, strict=True)
     observation = Observation2D(keypoints, confidence, BODY_25, motions[0].fps, None, case)

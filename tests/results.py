@@ -88,39 +88,22 @@ def phalp(packed: bool = True) -> bytes:
     return zlib.compress(as_joblib(tree), 3) if packed else as_joblib(tree)
 
 
-class _Wrapper:
-    """Stands for joblib's record of an array, whose numbers lie behind it."""
-
-
-_Wrapper.__module__, _Wrapper.__qualname__ = "joblib.numpy_pickle", "NumpyArrayWrapper"
-
-
 def as_joblib(tree: object) -> bytes:
     """What joblib.dump writes: a pickle in which each array is a record, then padding to 16 bytes, then its numbers."""
     stream, arrays = io.BytesIO(), []
 
     class Pickler(pickle._Pickler):
         def save(self, thing, *rest):
-            if isinstance(thing, np.ndarray):
-                record = _Wrapper()
-                record.__dict__ |= {"subclass": np.ndarray, "shape": thing.shape, "order": "C", "dtype": thing.dtype}
-                record.__dict__ |= {"allow_mmap": True, "numpy_array_alignment_bytes": 16}
-                super().save(record, *rest)
-                self.framer.commit_frame(force=True)
-                padding = 16 - (stream.tell() + 1) % 16
-                stream.write(bytes([padding]) + b"\xff" * padding + thing.tobytes())
-                arrays.append(thing)
-            else:
-                super().save(thing, *rest)
-
-        def save_global(self, thing, name=None):
-            if thing is _Wrapper:
-                self.write(pickle.GLOBAL + b"joblib.numpy_pickle\nNumpyArrayWrapper\n")
-                self.memoize(thing)
-            else:
-                super().save_global(thing, name)
-
-        dispatch = pickle._Pickler.dispatch | {type: save_global}
+            if not isinstance(thing, np.ndarray):
+                return super().save(thing, *rest)
+            self.write(pickle.GLOBAL + b"joblib.numpy_pickle\nNumpyArrayWrapper\n" + pickle.EMPTY_TUPLE + pickle.NEWOBJ)
+            record = {"subclass": np.ndarray, "shape": thing.shape, "order": "C", "dtype": thing.dtype}
+            super().save(record | {"allow_mmap": True, "numpy_array_alignment_bytes": 16})
+            self.write(pickle.BUILD)
+            self.framer.commit_frame(force=True)
+            padding = 16 - (stream.tell() + 1) % 16
+            stream.write(bytes([padding]) + b"\xff" * padding + thing.tobytes())
+            arrays.append(thing)
 
     Pickler(stream, protocol=4).dump(tree)
     assert arrays

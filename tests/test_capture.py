@@ -78,7 +78,7 @@ def test_keypoints_are_joints_and_vertices(body):
 
 @pytest.mark.parametrize("turn, near, far", [(np.pi / 2, "left", "right"), (-np.pi / 2, "right", "left")])
 def test_the_far_side_is_behind_the_near_side(body, turn, near, far):
-    visible = capture.observe(standing(1, turn), body, from_south(), seeded()).truth.visible[0]
+    visible = capture.observe(standing(1, turn), body, from_south(), seeded())[1].visible[0]
     assert not visible[[K[f"{far}_{part}"] for part in ("shoulder", "elbow", "hip", "knee")]].any()
     # the near hip lies behind the near hand of somebody whose arms hang down
     assert visible[[K[f"{near}_{part}"] for part in ("shoulder", "elbow", "wrist", "knee")]].all()
@@ -86,16 +86,16 @@ def test_the_far_side_is_behind_the_near_side(body, turn, near, far):
 
 def test_a_wall_hides_what_is_behind_it_and_nothing_in_front(body):
     for y, hides in ((-1.0, True), (1.0, False)):
-        shot = capture.observe(standing(), body, from_south(), seeded(), [occluders.wall((-2, y), (2, y))])
-        assert (not shot.observation.visible.any() and not shot.truth.visible.any()) == hides
-        assert (shot.truth.clear == (0.0 if hides else 1.0)).all()
+        seen, truth = capture.observe(standing(), body, from_south(), seeded(), [occluders.wall((-2, y), (2, y))])
+        assert (not seen.visible.any() and not truth.visible.any()) == hides
+        assert (truth.clear == (0.0 if hides else 1.0)).all()
 
 
 def test_scenes_hide_what_they_say(body):
     walk, camera = standing(40, -np.pi / 2, 3.0), from_south(6.0)
-    desk = capture.observe(walk, body, camera, seeded(), [occluders.desk_before(walk, camera)]).truth
+    desk = capture.observe(walk, body, camera, seeded(), [occluders.desk_before(walk, camera)])[1]
     assert not desk.visible[:, FEET].any() and (desk.clear[:, K["nose"]] == 1).all()
-    assert (capture.observe(walk, body, camera, seeded(), [table(-2.0)]).truth.clear[:, FEET] > 0.5).any()
+    assert (capture.observe(walk, body, camera, seeded(), [table(-2.0)])[1].clear[:, FEET] > 0.5).any()
 
 
 def table(y):
@@ -106,11 +106,11 @@ def table(y):
 
 def test_outside_the_image_is_undetected(body):
     camera = look_at(torch.tensor([0.0, -2.0, 1.6]), torch.tensor([0.0, 0.0, 1.6]), focal=900.0, width=800, height=600)
-    shot = capture.observe(standing(), body, camera, seeded())
-    assert not shot.observation.visible[:, FEET].any() and shot.observation.visible[:, K["neck"]].all()
-    assert (shot.observation.keypoints[~shot.observation.visible] == 0).all()
+    seen, _ = capture.observe(standing(), body, camera, seeded())
+    assert not seen.visible[:, FEET].any() and seen.visible[:, K["neck"]].all()
+    assert (seen.keypoints[~seen.visible] == 0).all()
     away = look_at(torch.tensor([0.0, -2.0, 1.0]), torch.tensor([0.0, -9.0, 1.0]), focal=900.0, width=800, height=600)
-    assert not capture.observe(standing(), body, away, seeded()).observation.visible.any()
+    assert not capture.observe(standing(), body, away, seeded())[0].visible.any()
 
 
 @pytest.fixture(scope="module")
@@ -130,9 +130,9 @@ def calibration(confidence, hit):
 
 
 def test_confidence_is_the_probability_of_a_hit(long_shot):
-    seen, truth = long_shot.observation.visible, long_shot.truth
-    error = (long_shot.observation.keypoints - truth.pixels).norm(dim=-1)
-    confidence, hit = long_shot.observation.confidence[seen], (error < truth.near[:, None])[seen]
+    observation, truth = long_shot
+    error = (observation.keypoints - truth.pixels).norm(dim=-1)
+    confidence, hit = (x[observation.visible] for x in (observation.confidence, error < truth.near[:, None]))
     worst, shares = calibration(confidence, hit)
     assert worst < 4 and shares == sorted(shares) and shares[0] < 0.4 < 0.9 < shares[-1]
     shuffled = confidence[torch.randperm(len(confidence), generator=seeded())]
@@ -140,14 +140,14 @@ def test_confidence_is_the_probability_of_a_hit(long_shot):
 
 
 def test_errors_have_their_sigma(long_shot):
-    seen = long_shot.observation.visible
-    unit = (long_shot.observation.keypoints - long_shot.truth.pixels) / long_shot.truth.sigma[..., None]
-    assert abs(unit[seen].std() - 1) < 0.03 and abs(unit[seen].mean()) < 0.03
+    observation, truth = long_shot
+    unit = ((observation.keypoints - truth.pixels) / truth.sigma[..., None])[observation.visible]
+    assert abs(unit.std() - 1) < 0.03 and abs(unit.mean()) < 0.03
 
 
 def test_what_makes_noise_larger(body):
     def sigma(camera, *things, **motion):
-        return capture.observe(standing(8, np.pi, **motion), body, camera, seeded(), things).truth.sigma
+        return capture.observe(standing(8, np.pi, **motion), body, camera, seeded(), things)[1].sigma
 
     near, far = sigma(from_south(3.0)), sigma(from_south(9.0))
     assert (near > 1.8 * far).float().mean() > 0.9, "a larger image has larger errors in pixels"
@@ -161,8 +161,8 @@ def test_what_makes_noise_larger(body):
 def test_a_drawn_camera_keeps_everybody_in_view(body, seed):
     motion = standing(30, torch.linspace(0, 3, 30), 2.0)
     camera = capture.frame_motion(motion, seeded(seed))
-    shot = capture.observe(motion, body, camera, seeded())
-    inside = (shot.truth.pixels > 0) & (shot.truth.pixels < torch.tensor([camera.width, camera.height]))
+    pixels = capture.observe(motion, body, camera, seeded())[1].pixels
+    inside = (pixels > 0) & (pixels < torch.tensor([camera.width, camera.height]))
     assert inside.all() and 0.8 - 1e-4 <= camera.centre[2] <= 2.2 + 1e-4
     assert torch.equal(capture.frame_motion(motion, seeded(seed)).centre, camera.centre)
     assert not torch.equal(capture.frame_motion(motion, seeded(seed + 100)).centre, camera.centre)

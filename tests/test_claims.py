@@ -14,17 +14,12 @@ RECORDS = sorted((NOTEBOOKS / "results").glob("*.json"))
 
 
 @pytest.mark.parametrize("path", RECORDS, ids=lambda p: p.stem)
-def test_record_belongs_to_the_code(path):
-    record = findings.load_record(path)
+def test_record_belongs_to_the_code_and_its_verdicts_to_the_ledger(path):
+    record, tests = findings.load_record(path), findings.all_tests(CLAIMS)
     code = staleness.code_hash(NOTEBOOKS / f"{record.notebook}.ipynb")
     assert record.source_hash == code, f"{record.notebook}: the code is newer than its record; run `make full`"
     assert record.provenance["profile"] == "full"
-
-
-@pytest.mark.parametrize("path", RECORDS, ids=lambda p: p.stem)
-def test_recorded_verdicts_follow_from_the_ledger_of_today(path):
-    tests = findings.all_tests(CLAIMS)
-    for f in findings.load_record(path).findings:
+    for f in record.findings:
         rule = tests[f.test]
         assert f.bound == rule.bound_text(), f"{f.test}: the bound was changed after the measurement"
         assert f.verdict == findings.judge(rule, f.low, f.high, f.n), f.test
@@ -34,8 +29,7 @@ def test_recorded_verdicts_follow_from_the_ledger_of_today(path):
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("[0-9]*.ipynb")), ids=lambda p: p.stem)
 def test_every_test_of_a_written_notebook_was_measured(path):
     due = {t.id for claim in CLAIMS.values() if claim.notebook == staleness.number_of(path.stem) for t in claim.tests}
-    record = NOTEBOOKS / "results" / f"{staleness.number_of(path.stem)}.json"
-    done = {f.test for f in findings.load_record(record).findings} if record.exists() else set()
+    done = {f.test for f in findings.record_of(path).findings}
     assert due <= done, f"{path.stem}: not measured: {sorted(due - done)}"
 
 

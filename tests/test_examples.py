@@ -12,27 +12,20 @@ from motionlab.io import bvh
 from motionlab.motion import Motion
 
 
-def example_walk(seed: int = 6) -> Motion:
+def example_walk() -> Motion:
     """Somebody of standard size who walks for four seconds, turns to the right, stops and waves."""
-    score = Score(SUBJECTS[0], torch.Generator().manual_seed(seed))
+    score = Score(SUBJECTS[0], torch.Generator().manual_seed(6))
     WRITERS["walk"](score, seconds=3.6, speed=1.25, turn=-1.1)
     WRITERS["wave"](score, times=2)
     return perform(score, fps=30.0).motion
 
 
-def apart(a: Motion, b: Motion) -> float:
-    """The largest distance between joints of one name, metres."""
-    frames = min(a.frames, b.frames)
-    return float(
-        (a.cut(0, frames).positions[:, a.skeleton.indices(b.skeleton.names)] - b.positions[:frames]).abs().max()
-    )
-
-
 def test_the_walk_that_ships_is_what_is_performed():
     kept, made = io.load(WALK), example_walk()
-    assert (kept.frames, kept.fps) == (made.frames, made.fps) == (197, 30)
-    assert apart(made, kept) < 1e-5 and WALK.stat().st_size < 300_000
-    assert apart(example_walk(seed=7), kept) > 0.1  # control
+    assert (kept.frames, kept.fps) == (made.frames, made.fps) == (197, 30) and WALK.stat().st_size < 300_000
+    positions = made.positions[:, made.skeleton.indices(kept.skeleton.names)]
+    assert (positions - kept.positions).abs().max() < 1e-5
+    assert (positions[1:] - kept.positions[:-1]).abs().max() > 0.1  # control
 
 
 if __name__ == "__main__":

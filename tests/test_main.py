@@ -22,6 +22,7 @@ from motionlab.training import courses
 from suite import __main__ as suite_main
 from suite import execute, findings, pages, report, staleness
 from tests.figures import standing
+from tests.test_staleness import ledger
 
 
 def write_notebook(path, *sources):
@@ -45,26 +46,8 @@ def suite(tmp_path, monkeypatch):
     return folder
 
 
-LEDGER = """
-[[claim]]
-id = "X01"
-section = "3.3.2"
-title = "Size <matters>"
-thesis = "it does"
-notebook = "01"
-[claim.test.size]
-definition = "size"
-unit = "cm"
-relation = ">="
-bound = 2
-baseline = "none"
-[[claim]]
-id = "X02"
-section = "4.4"
-title = "Open"
-thesis = "future work"
-notebook = "02"
-"""
+LEDGER = ledger(size="").replace("H00", "X01").replace('"02"', '"01"').replace('"t"', '"Size <matters>"')
+LEDGER += ledger().replace("H00", "X02")
 
 
 def test_report_runs_every_notebook_and_says_which_failed(suite, tmp_path, capsys):

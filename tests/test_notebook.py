@@ -1,8 +1,6 @@
 import matplotlib.pyplot as plt
-import numpy as np
 import pytest
 import torch
-from IPython.display import HTML
 
 from motionlab.errors import DataError
 from suite import findings, notebook
@@ -112,11 +110,6 @@ def test_tables_escape_what_would_break_them():
     assert notebook._markdown_table([]) == "*(no rows)*"
 
 
-def test_figures_of_every_kind_are_shown(bench):
-    lab = bench("smoke")
-    fig = plt.figure()
-    picture = np.zeros((4, 6, 3), dtype=np.uint8)
-    lab.figure(fig, "02.1", "a plot")
-    lab.figure(picture, "02.2", "an image")
-    lab.figure(HTML("<img>"), "02.3", "a film")
-    assert not plt.get_fignums()
+def test_a_figure_is_shown_once(bench):
+    bench("smoke").figure(plt.figure(), "02.1", "a plot")
+    assert not plt.get_fignums()  # else the notebook shows it again

@@ -87,10 +87,6 @@ def written(tmp_path, cells):
     return path
 
 
-def test_control_good_notebook_passes(tmp_path):
-    assert list(problems(written(tmp_path, good_cells()))) == []
-
-
 STDERR = [{"output_type": "stream", "name": "stderr", "text": "UserWarning"}]
 ERROR = [{"output_type": "error", "ename": "E", "evalue": "", "traceback": []}]
 IMAGE = [{"output_type": "display_data", "data": {"image/png": "iVBOR"}, "metadata": {}}]
@@ -114,5 +110,6 @@ IMAGE = [{"output_type": "display_data", "data": {"image/png": "iVBOR"}, "metada
 )
 def test_control_bad_notebook_is_found(tmp_path, index, bad, complaint):
     cells = good_cells()
+    assert not list(problems(written(tmp_path, cells)))
     cells[index] = bad
     assert any(complaint in problem for problem in problems(written(tmp_path, cells)))

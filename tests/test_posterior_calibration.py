@@ -19,9 +19,9 @@ FRAMES = torch.tensor([2, 9, 16])
 RIGHT = chi2.ppf([0.5, 0.8, 0.9], 3) ** 0.5
 
 
-def people(count, places=60, wrong=1.0, generator=None):
+def people(count, wrong=1.0, seed=0):
     """Clips whose draws are right up to a factor on the error: each place with a spread of its own, 2 to 20 cm."""
-    generator, found = generator or seeded(), []
+    generator, found, places = seeded(seed), [], 60
     for k in range(count):
         size = 0.02 + 0.18 * torch.rand(places, 1, generator=generator)
         noise = [torch.randn(n, places, 3, generator=generator) for n in (1, 64)]
@@ -31,20 +31,14 @@ def people(count, places=60, wrong=1.0, generator=None):
     return found
 
 
-def test_right_regions_hold_what_they_say_and_too_sure_ones_do_not():
+def test_right_regions_hold_what_they_say_and_widened_ones_on_people_who_had_no_say():
+    """Where errors are three times as large as the draws say, the radius grows threefold, and new people are held."""
     for level, wide in zip(cal.LEVELS, RIGHT, strict=True):
         assert cal.held(people(20), 1.0, 1e-4, wide).mean() == pytest.approx(level, abs=0.04)
         assert cal.held(people(20, wrong=3.0), 1.0, 1e-4, wide).mean() < level - 0.25  # control
-
-
-def test_widened_regions_hold_on_people_who_had_no_say():
-    """Errors three times as large as the draws say: the radius grows threefold, and new people are held."""
-    for level, wide in zip(cal.LEVELS, RIGHT, strict=True):
-        found = cal.radius(people(60, wrong=3.0, generator=seeded(1)), 1.0, 1e-4, level)
+        found = cal.radius(people(60, wrong=3.0, seed=1), 1.0, 1e-4, level)
         assert found == pytest.approx(3 * wide, rel=0.12)
-        assert cal.held(people(20, wrong=3.0, generator=seeded(2)), 1.0, 1e-4, found).mean() == pytest.approx(
-            level, abs=0.06
-        )
+        assert cal.held(people(20, wrong=3.0, seed=2), 1.0, 1e-4, found).mean() == pytest.approx(level, abs=0.06)
 
 
 def test_likelihood_chooses_the_temperature_that_is_true():
@@ -107,10 +101,8 @@ def test_a_raised_or_turned_camera_lifts_feet_off_the_floor(seen):
 
 def test_numbers_that_are_true_of_a_known_case(clip):
     """The fit assumed half the focal length, from where it stood, turned a little and lower: these are its errors."""
-    true = look_at(torch.tensor([3.5, 2.0, 1.4]), torch.tensor([0.0, 1.5, 0.9]), focal=1000.0, width=1280, height=720)
-    down = torch.tensor([0.0, 0.0, 0.2])
-    low = look_at(torch.tensor([3.5, 2.0, 1.4]) - down, torch.tensor([0.0, 1.5, 0.9]) - down, focal=500.0, width=1280,
-                  height=720)  # fmt: skip
+    true = side_camera()
+    low = look_at(torch.tensor([3.5, 2.0, 1.2]), torch.tensor([0.0, 1.5, 0.7]), focal=500.0, width=1280, height=720)
     seen = assumed.view(clip, torch.zeros(8), keypoints(clip, true), low, FRAMES)
     stature, _, zoom, tilt, rise = assumed.true_numbers(seen, clip, true, FRAMES).tolist()
     assert zoom == pytest.approx(math.log(2), abs=1e-3) and rise == pytest.approx(0.2, abs=1e-5)

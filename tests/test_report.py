@@ -4,7 +4,6 @@ import base64
 import io
 import math
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import nbformat
@@ -14,52 +13,34 @@ from PIL import Image
 from suite import findings, page, report
 
 
-class Seen(HTMLParser):
-    """What a page refers to, the places in it that others may refer to, and what it shows without a description."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.loads, self.links, self.ids, self.mute, self.formulas = [], [], set(), [], []
-        self.inside = False
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):
-        given = dict(attributes)
-        self.loads += [given[name] for name in ("src", "poster", "srcset", "data") if given.get(name)]
-        self.loads += [given["href"]] if tag == "link" else []
-        self.links += [given["href"]] if tag == "a" and given.get("href") else []
-        self.ids |= {given["id"]} if given.get("id") else set()
-        if (tag == "img" and not given.get("alt")) or (tag == "video" and not given.get("aria-label")):
-            self.mute.append(self.get_starttag_text())
-        self.inside = self.inside or tag == "math"
-
-    def handle_endtag(self, tag):
-        self.inside = self.inside and tag != "math"
-
-    def handle_data(self, data):
-        if self.inside:
-            self.formulas.append(data)
+def tags(text):
+    """(name, attributes) of every tag of a page."""
+    for name, rest in re.findall(r"<(\w+)([^>]*)>", text):
+        yield name, {key: value for key, _, value in re.findall(r"""([\w-]+)=(["'])(.*?)\2""", rest, re.DOTALL)}
 
 
 def problems(folder):
     """What a browser without a network would miss, a phrase each."""
-    seen = {path.name: Seen(path.read_text(encoding="utf-8")) for path in folder.glob("*.html")}
-    for name, mine in seen.items():
-        for target in mine.loads:
+    pages = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.html")}
+    places = {name: {given.get("id") for _, given in tags(text)} for name, text in pages.items()}
+    for name, tag, given in ((name, *each) for name, text in pages.items() for each in tags(text)):
+        loads = ("src", "poster", "srcset", "data", *(["href"] if tag == "link" else []))
+        for target in filter(None, map(given.get, loads)):
             if re.match(r"(?:https?:)?//", target):
                 yield f"{name} loads {target}"
             elif not target.startswith("data:") and not (folder / target).is_file():
                 yield f"{name}: no file {target}"
-        for target in mine.links:
-            file, _, anchor = target.partition("#")
-            if re.match(r"https?://|mailto:", target):
-                continue  # a paper
+        target = given.get("href", "") if tag == "a" else ""
+        file, _, anchor = target.partition("#")
+        if target and not re.match(r"https?://|mailto:", target):  # no paper
             if not (folder / (file or name)).is_file():
                 yield f"{name}: no page {target}"
-            elif anchor and anchor not in seen[file or name].ids:
+            elif anchor and anchor not in places[file or name]:
                 yield f"{name}: no place {target}"
-        yield from (f"{name} shows without a description: {each[:80]}" for each in mine.mute)
-        yield from (f"{name}: TeX in a formula: {each}" for each in mine.formulas if "\\" in each)
+        if (tag == "img" and not given.get("alt")) or (tag == "video" and not given.get("aria-label")):
+            yield f"{name} shows without a description: {given}"
+    formulas = [each for text in pages.values() for each in re.findall(r"<math.*?</math>", text, re.DOTALL)]
+    yield from (f"TeX in a formula: {each}" for each in formulas if "\\" in re.sub(r"<[^>]*>", "", each))
     for path in folder.rglob("*.css"):
         yield from (f"{path.name} loads {each}" for each in re.findall(r"@import.*|url\(.*?\)", path.read_text()))
 

@@ -27,13 +27,9 @@ def moving(count, seed=0):
     return Motion(STANDARD, steps + torch.tensor([0.0, 0.0, 0.95]), rotation.exp(turns), 30.0, contacts)
 
 
-def people(count):
-    lacks = torch.zeros(count, 1, bench.JOINTS + 2, dtype=torch.bool)
-    return PersonWindows(moving(count), torch.arange(count) // 2, lacks)
-
-
 def test_a_perfect_guess_leaves_nothing_and_only_legs_are_asked_for():
-    model, some = motion_model("diffusion_plain"), learning.rows(motion_model("diffusion_plain"), *people(4))
+    people = PersonWindows(moving(4), torch.arange(4) // 2, torch.zeros(4, 1, bench.JOINTS + 2, dtype=torch.bool))
+    some = learning.rows(model := motion_model("diffusion_plain"), *people)
     assert learning.left_cm(model, some, some.x).max() < 1e-3
     off = some.x + 0.1 * torch.randn(some.x.shape, generator=seeded(1))
     made, truth = (learning.filled(model, some, x).positions for x in (off, some.x))

@@ -4,7 +4,7 @@ Synthetic people, by turns in plain view and behind a low wall, known cameras: o
 do it, 16 at once, and as a yardstick the official schedule run to its end in the official form: its stage 3 alone, from
 our stages 1 and 2, some minutes a clip. Ratios and energies are those of the same clips.
 
-    python tests/bench/bench_fit.py [--singles 4] [--official 1]
+    PYTHONPATH=notebooks python tests/bench/bench_fit.py [--singles 4] [--official 1]
 """
 
 import argparse

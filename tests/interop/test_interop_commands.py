@@ -23,6 +23,7 @@ COMMANDS = {
     "planted": ["plant", "IN", "--out", "OUT"],
     "loop": ["cycle", "IN", "--cut", "0.2", "1.4", "--loop", "--out", "OUT"],
     "in place": ["cycle", "IN", "--in-place", "--out", "OUT"],
+    "in-betweened": ["inbetween", "IN", "--keys", "0,20,21,40,59", "--method", "network", "--out", "OUT"],
     "repaired": ["repair", "IN", "--out", "OUT"],
     "completed": ["complete", "IN", "--hidden", "left_arm", "--out", "OUT"],
     "another's rig": ["retarget", "IN", "--onto", "RIG", "--out", "OUT"],
@@ -70,7 +71,10 @@ def test_blender_sees_what_we_see(tmp_path, files, name, ending):
     words += ["--bones"] if name.endswith("pose") and ending == "glb" else []
     assert __main__.main([str(word) for word in words]) == 0
     made = io.load(out)
-    heads = joints_of(blender(out, made.fps, FRAMES), actions=1 + (ending == "glb" and name in _BESIDE))
+    found = blender(out, made.fps, FRAMES)
+    heads = joints_of(found, actions=1 + (ending == "glb" and name in _BESIDE))
+    first = 1 if ending == "bvh" else 0
+    assert [first, first + made.frames - 1] in found["spans"]
     assert apart(heads, made, FRAMES).max() < 1e-3
     assert apart(heads, made, FRAMES, later=3).max() > 5e-3  # another frame is elsewhere
 

@@ -122,7 +122,7 @@ def on_the_floor(motion: Motion) -> Motion:
         upper = (points[..., knee, :] - points[..., hip, :]).norm(dim=-1).mean(-1)
         lower = (points[..., ankle, :] - points[..., knee, :]).norm(dim=-1).mean(-1)
         for clip in range(len(rot)):
-            thigh, shin, _, _ = two_bone(
+            thigh, shin, _ = two_bone(
                 points[clip, :, hip], target[clip], turns[clip, :, 0, :, 0], upper[clip].item(), lower[clip].item()
             )
             low = points[clip, :, ankle, 2] < sole
