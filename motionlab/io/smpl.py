@@ -5,7 +5,7 @@ Sequences are AMASS and its kin as npz, and what GVHMR, WHAM, TRAM, PHALP (4DHum
 """
 
 import io
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -256,13 +256,13 @@ _VERTICES = {
 }
 
 
-def load(path: str | Path, betas: int = 10) -> BodyModel:
+def load(path: str | Path, betas: Sequence[float] = ()) -> BodyModel:
     """Reads a body from a file in SMPL's format, on the 22 standard joints.
 
     Hands, jaw and eyes of larger models move rigidly with the wrist or head above them: their weights are folded into
     it. Pose correctives (``posedirs``) of the 21 moving joints are kept and applied by :func:`motionlab.body.lbs`.
 
-    betas: how many shape directions to keep, as far as the file has them.
+    betas: the person's shape, standard deviations along the file's first directions; by default its average person.
 
     Source: Loper et al. 2015; Romero et al. 2017; Pavlakos et al. 2019.
     Raises:
@@ -284,7 +284,10 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
             raise at.error(f"joint {wrong[0]} has parent {parents[wrong[0]]}", place="kintree_table")
         if tuple(parents[:count]) != STANDARD.parents:
             raise at.error("does not begin with the tree of SMPL's 22 body joints", place="kintree_table")
-        shape = checked_array(at, raw["shapedirs"], f"{vertices} 3 B", "shapedirs")[..., :betas]
+        shape = checked_array(at, raw["shapedirs"], f"{vertices} 3 B", "shapedirs")
+        if len(betas) > shape.shape[-1]:
+            raise at.error(f"{shape.shape[-1]} shape directions, fewer than the {len(betas)} betas", place="shapedirs")
+        template = template + shape[..., : len(betas)] @ np.asarray(betas, float)
         weights = checked_array(at, raw["weights"], f"{vertices} {len(parents)}", "weights")
         regressor = checked_array(at, raw["J_regressor"], f"{len(parents)} {vertices}", "J_regressor")
         for key, rows in (("weights", weights), ("J_regressor", regressor)):
@@ -301,13 +304,12 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
             owners += [owners[parent]] if joint >= count else []
             folded[:, owners[joint]] += weights[:, joint]
         joints = regressor[:count] @ template
-        directions = np.einsum("jv,vcb->jcb", regressor[:count], shape)
         offsets = joints - np.vstack((joints[:1], joints[list(STANDARD.parents[1:])]))
         posed = None
         if "posedirs" in raw:
             posed = checked_array(at, raw["posedirs"], f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")
             posed = torch.from_numpy(posed[..., : 9 * (count - 1)]).float()
-        notes = [f"{at.path.name}: {vertices} vertices, {len(parents)} joints, {shape.shape[-1]} betas"]
+        notes = [f"{at.path.name}: {vertices} vertices, {len(parents)} joints"]
         if len(parents) > count:
             notes.append(f"weights of joints {count} to {len(parents) - 1} folded into the wrists and the head")
         if vertices not in _VERTICES:
@@ -315,9 +317,7 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
         sole = float(joints[:, 1].min() - template[:, 1].min())
         return BodyModel(
             template=torch.from_numpy(template).float(),
-            shape_directions=torch.from_numpy(shape).float(),
             joints=torch.from_numpy(joints).float(),
-            joint_directions=torch.from_numpy(directions).float(),
             bind_rot=torch.eye(3).repeat(count, 1, 1),
             weights=torch.from_numpy(folded / folded.sum(1, keepdims=True)).float(),
             faces=torch.from_numpy(faces).long(),
