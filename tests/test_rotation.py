@@ -278,7 +278,9 @@ def test_euler_in_gimbal_lock_keeps_the_rotation(generator, order, offset):
         angles[:, 1] = middle + offset
         matrix = rotation.euler_to_matrix(angles, order)
         found = rotation.matrix_to_euler(matrix, order)
-        torch.testing.assert_close(rotation.euler_to_matrix(found, order), matrix, atol=1e-14 + 2 * offset * (offset < 1e-7), rtol=0)
+        torch.testing.assert_close(
+            rotation.euler_to_matrix(found, order), matrix, atol=1e-14 + 2 * offset * (offset < 1e-7), rtol=0
+        )
         if offset == 0:
             assert (found[:, 2] == 0).all()
         single = rotation.euler_to_matrix(rotation.matrix_to_euler(matrix.float(), order), order)

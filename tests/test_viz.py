@@ -328,7 +328,7 @@ def test_bad_input_says_what_is_wrong(tmp_path):
             scene.skeleton(motion, "mine")
         with pytest.raises(ShapeError, match="batch"):
             scene.skeleton(batch)
-        with pytest.raises(ShapeError, match="no frames"):
+        with pytest.raises(ShapeError, match="without frames"):
             scene.trail(motion.cut(0, 0), "left_wrist")
         with pytest.raises(DataError, match="frame 2"):
             scene.skeleton(broken)

@@ -23,14 +23,13 @@ from motionlab.io.pickles import array_of, arrays_of, read_pickle
 from motionlab.io.reading import (
     Location,
     check_keys,
-    check_writable,
     checked_array,
     frame_rate,
     read_bytes,
     read_npz,
     reading,
 )
-from motionlab.motion import Motion
+from motionlab.motion import Motion, single
 from motionlab.skeleton import STANDARD
 
 #: Joints of a model -> its name. All begin with the same 22: root and 21 body joints.
@@ -225,7 +224,7 @@ def save_motion(path: str | Path, motion: Motion, *, pelvis_offset: Tensor | Non
         ShapeError: batch axes, no frames, or not 22 joints.
         DataError: NaN or infinity, or the file cannot be written.
     """
-    check_writable(path, motion)
+    single(motion, path)
     offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
     check_shape(offset, "3", "pelvis_offset")
     check_shape(motion.rot, f"T {BODY} 3 3", "rot")

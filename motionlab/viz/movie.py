@@ -19,10 +19,9 @@ from tqdm.auto import tqdm
 from motionlab import viz
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
-from motionlab.motion import Motion
+from motionlab.motion import Motion, single
 from motionlab.observation import Observation2D
 from motionlab.viz import mannequin, viewpoint
-from motionlab.viz.mannequin import single
 from motionlab.viz.palette import ROLE, colour, side_of, sides
 from motionlab.viz.scene import Scene
 

@@ -21,7 +21,7 @@ from torch import Tensor
 from motionlab import viz
 from motionlab.body import BodyModel, lbs, tailored
 from motionlab.errors import ShapeError
-from motionlab.motion import Motion
+from motionlab.motion import Motion, single
 from motionlab.observation import Camera
 from motionlab.viz import mannequin, viewpoint
 from motionlab.viz.mannequin import Shadow, floor_tiles
@@ -124,7 +124,7 @@ class Scene(contextlib.AbstractContextManager):
         frame: int | None = None, shadow: float = 0.42, framed: bool = True,
     ) -> Self:  # fmt: skip
         """Adds a figure with volume, its left side light and its right side dark; options as of :meth:`body`."""
-        figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
+        figure = mannequin.build(single(motion).skeleton, colour(role))
 
         def shape(now: Motion, index: int) -> np.ndarray:
             return figure.pose(*(mannequin.array(whole[index]) for whole in now.world))
@@ -139,7 +139,7 @@ class Scene(contextlib.AbstractContextManager):
             ShapeError: other joints, or more or fewer frames.
         """
         held, place = self._figures[panel]
-        was, now = (mannequin.array(m.positions) for m in (held[0], mannequin.single(motion)))
+        was, now = (mannequin.array(m.positions) for m in (held[0], single(motion)))
         if was.shape != now.shape:
             raise ShapeError(f"motion: expected places {was.shape} as of the figure, got {now.shape}")
         held[0] = motion
@@ -163,7 +163,7 @@ class Scene(contextlib.AbstractContextManager):
         if field is not None:
             show = partial(mannequin.add_field, values=mannequin.array(field), title=title, limits=limits, cmap=cmap)
         faces = body.faces.cpu().numpy()
-        motion = mannequin.single(motion)
+        motion = single(motion)
         return self._surface(motion, partial(_skin, body), faces, show, panel, frame, shadow, framed, shown)
 
     def _surface(self, motion, shape, faces, show, panel, frame, shadow, framed, shown=None) -> Self:
@@ -239,7 +239,7 @@ class Scene(contextlib.AbstractContextManager):
 
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Self:
         """Adds the path of a joint: pale as a whole, strong up to now."""
-        path = mannequin.array(mannequin.single(motion).positions[:, motion.skeleton.index(joint)])
+        path = mannequin.array(single(motion).positions[:, motion.skeleton.index(joint)])
         count, look = max(len(path), 2), {"render_lines_as_tubes": True, "ambient": 0.6, "diffuse": 0.4}
         at = path[np.minimum(np.arange(count), len(path) - 1)]
         for paint, width in ((blend(colour(role), PAPER, 0.6), 2), (colour(role), 5)):
