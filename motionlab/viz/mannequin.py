@@ -165,22 +165,16 @@ def array(x: Tensor) -> np.ndarray:
 
 def surface(points: np.ndarray, faces: np.ndarray) -> pv.PolyData:
     """Builds a mesh with normals."""
-    mesh = pv.PolyData.from_regular_faces(np.array(points, float), np.asarray(faces))
-    mesh.point_data.active_normals = _normals(mesh)
+    mesh = pv.PolyData.from_regular_faces(points, faces)
+    move_surface(mesh, points)
     return mesh
-
-
-def _normals(mesh: pv.PolyData) -> np.ndarray:
-    return vertex_normals(torch.as_tensor(np.array(mesh.points)), torch.as_tensor(mesh.regular_faces)).numpy()
 
 
 def move_surface(mesh: pv.PolyData, points: np.ndarray) -> None:
     """Moves a mesh in place: no new actor, no new topology."""
-    mesh.points[:] = points
-    mesh.point_data.active_normals[:] = _normals(mesh)
-    mesh.GetPoints().GetData().Modified()
-    mesh.GetPointData().GetNormals().Modified()
-    mesh.Modified()
+    mesh.points = points
+    normals = vertex_normals(torch.as_tensor(points), torch.as_tensor(mesh.regular_faces))
+    mesh.point_data.active_normals = normals.numpy()
 
 
 def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 1.0) -> pv.Actor:
