@@ -169,8 +169,6 @@ def test_a_figure_takes_another_motion_and_the_eye_follows_it():
     np.testing.assert_array_equal(scene.exchange(slow).image(), before)
     scene.exchange(fast)
     np.testing.assert_array_equal(scene.image(0.7), Scene(SMALL, follow=True).floor().skeleton(fast).image(0.7))
-    with pytest.raises(ShapeError, match="8, 22, 3"):
-        scene.exchange(standing(frames=7))
 
 
 def test_a_hand_that_turned_one_eye_turns_all_and_the_turn_travels_on():
@@ -230,14 +228,12 @@ def test_who_flies_off_does_not_shrink_the_others(follow):
     assert height(flying(40.0)) > 0.7 * height(calm) > 0.4
 
 
-def test_the_eye_stays_with_who_flies_if_it_follows_and_else_says_that_they_left():
-    seen = {}
-    for follow in (True, False):
-        scene = Scene((640, 240), panels=("truth", "rival"), follow=follow)
-        scene.skeleton(standing(30, 30.0)).skeleton(flying(8.0), panel=1)
-        seen[follow] = [bool(scene.at(now)._gone[1].GetVisibility()) for now in (0.0, 0.9)]
-        assert not scene._gone[0].GetVisibility()
-    assert seen == {True: [False, False], False: [False, True]}
+@pytest.mark.parametrize("follow", [True, False])
+def test_the_eye_stays_with_who_flies_only_if_it_follows(follow):
+    scene = Scene((640, 240), panels=("truth", "rival"), follow=follow)
+    picture = scene.skeleton(standing(30, 30.0)).skeleton(flying(8.0), panel=1).image(0.9).astype(int)
+    seen = (picture[..., 2] - picture[..., 0] > 60).reshape(240, 2, 320).sum((0, 2))  # blue pixels of each panel
+    assert seen[0] > 100 and (seen[1] > 100) == follow
 
 
 def test_a_ghost_stands_in_the_other_panels_only():
@@ -366,8 +362,6 @@ def test_knobs_say_their_units_and_a_result_may_be_a_film(tmp_path):
     before, knob.value = picture.value, 0.8
     assert "<video" in before and picture.value != before and not message.value
     assert knob.description == "seconds (s)"
-    with pytest.raises(ValueError, match="gap; knobs are seconds"):
-        explore(draw, units={"gap": "s"}, seconds=(0.2, 0.8, 0.1))
 
 
 def test_a_film_has_a_bar_where_somebody_watches(tmp_path, capsys):

@@ -184,15 +184,10 @@ def explore(draw: Callable, *, units: Mapping[str, str] | None = None, **knobs: 
         units: of knobs, by name: "gap (s)".
         knobs: as for ``ipywidgets.interact``: (low, high, step) and numbers make sliders, a list or mapping a menu,
             True or False a box to tick, or any widget. They begin at the defaults of ``draw``, where it has some.
-
-    Raises:
-        ValueError: a unit of no knob.
     """
     import ipywidgets
     import traitlets
 
-    if strange := set(units or {}) - set(knobs):
-        raise ValueError(f"units: no knob {', '.join(sorted(strange))}; knobs are {', '.join(knobs)}")
     hands = dict(zip(knobs, ipywidgets.interactive(lambda **values: None, **knobs).children[:-1], strict=True))
     begins = {p.name: p.default for p in inspect.signature(draw).parameters.values() if p.default is not p.empty}
     for name, hand in hands.items():

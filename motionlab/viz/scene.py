@@ -83,7 +83,6 @@ class Scene(contextlib.AbstractContextManager):
         self._eyes: dict[int, tuple] = {}  # panel -> where its eye was put and what it looks at
         self._hand: tuple[np.ndarray, np.ndarray] | None = None  # eye from what it looks at, and that from the subject
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
-        self._gone: list[pv.CornerAnnotation] = []  # what a panel says whose people are all out of it
         self._left, self._framing, self._floor = None, None, False
         for index, label in enumerate(panels):
             plotter = self._panel(index)
@@ -91,8 +90,6 @@ class Scene(contextlib.AbstractContextManager):
             if fine and not viz.draft:
                 plotter.enable_anti_aliasing("ssaa", all_renderers=False)
             mannequin.add_lights(plotter)
-            self._gone.append(mannequin.add_words(plotter, "left the picture", "lower_right", max(size[1] / 60, 6)))
-            self._gone[-1].SetVisibility(False)
             if label:
                 mannequin.add_words(plotter, label, "upper_edge", max(size[1] / 42, 7))
         self._smoothing = [renderer.GetPass() for renderer in self.plotter.renderers]
@@ -133,17 +130,10 @@ class Scene(contextlib.AbstractContextManager):
         return self._surface(motion, shape, figure.faces, show, panel, frame, shadow, framed)
 
     def exchange(self, motion: Motion, *, panel: int = 0) -> Self:
-        """Puts another motion, of as many joints and frames, into a panel's last framed figure or body that moves.
-
-        Raises:
-            ShapeError: other joints, or more or fewer frames.
-        """
+        """Puts another motion, of the same joints, into a panel's last framed figure or body that moves."""
         held, place = self._figures[panel]
-        was, now = (mannequin.array(m.positions) for m in (held[0], single(motion)))
-        if was.shape != now.shape:
-            raise ShapeError(f"motion: expected places {was.shape} as of the figure, got {now.shape}")
-        held[0] = motion
-        self._seen[panel][place] = (now, motion.fps)
+        held[0] = single(motion)
+        self._seen[panel][place] = (mannequin.array(motion.positions), motion.fps)
         self._framing = None
         return self
 
@@ -279,10 +269,6 @@ class Scene(contextlib.AbstractContextManager):
                 self._panel(panel).add_mesh(tiles, name=f"floor {panel}", **look)
         if fresh or turned or self._view["follow"]:
             self._aim()
-        for seen, words, renderer in zip(self._seen, self._gone, self.plotter.renderers, strict=True):
-            moving = [path[min(round(self.seconds * fps), len(path) - 1)] for path, fps in seen if len(path) > 1]
-            gone = moving and not self.camera and not self._framing.sees(renderer.camera, np.concatenate(moving))
-            words.SetVisibility(bool(gone))
         return self
 
     def _aim(self) -> None:

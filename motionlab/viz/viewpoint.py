@@ -59,13 +59,6 @@ class Framing:
         offset[2] = max(offset[2], _NEAR - self.target(panel, seconds)[2] - shift[2])
         return offset, shift
 
-    def sees(self, eye: pv.Camera, points: np.ndarray) -> bool:
-        """Says whether any of the points (N, 3) lies in the picture of an eye."""
-        planes = np.zeros(24)
-        eye.GetFrustumPlanes(self.aspect, planes)
-        inward, offset = planes.reshape(6, 4)[:, :3], planes[3::4]
-        return bool((points @ inward.T + offset > 0).all(1).any())
-
 
 def choose_framing(
     seen: list[list[tuple[np.ndarray, float]]], *, aspect: float, azimuth: float | None, elevation: float,
