@@ -61,9 +61,8 @@ def _trame(scene: Scene):
         # trame's WebAssembly view, not used here, downloads itself when the server starts: an error without a network
         with mock.patch.dict(sys.modules, {"trame.widgets.vtklocal": None}):
             elegantly_launch(server)
-    scene.plotter.enable_terrain_style(mouse_wheel_zooms=False)  # the horizon stays level
-    hand, window = scene.plotter.iren, scene.plotter.render_window
-    hand.interactor.EnableRenderOff()  # a hand moves the eye; trame draws as often as it can
+    scene.plotter.enable_terrain_style(mouse_wheel_zooms=_WHEEL)  # the horizon stays level
+    scene.plotter.iren.interactor.EnableRenderOff()  # a hand moves the eye; trame draws as often as it can
     scene.plotter.notebook = True  # else pyvista guesses, and shows nothing where it sees no notebook
     view = scene.plotter.show(jupyter_backend="server", jupyter_kwargs={"add_menu": False}, return_viewer=True)
     resting: list[asyncio.TimerHandle] = []
@@ -82,14 +81,7 @@ def _trame(scene: Scene):
         stir()
         view.viewer.update()
 
-    def wheel(_: object, event: str) -> None:
-        away = _WHEEL ** hand.interactor.GetInteractorStyle().GetMouseWheelMotionFactor()
-        scene.turn(away=away if event == "MouseWheelBackwardEvent" else 1 / away)
-        update()
-
-    window.AddObserver("StartEvent", lambda *_: stir() if scene.heed() else None)
-    for event in ("MouseWheelForwardEvent", "MouseWheelBackwardEvent"):
-        hand.add_observer(event, wheel)
+    scene.plotter.render_window.AddObserver("StartEvent", lambda *_: stir() if scene.heed() else None)
     return view, update
 
 

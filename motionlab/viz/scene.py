@@ -207,17 +207,13 @@ class Scene(contextlib.AbstractContextManager):
         self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, at[None])
 
-    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, shown=None, panel: int = 0) -> Self:
-        """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves.
-
-        ``shown`` (T,) says in which frames it is there; by default in all.
-        """
+    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, panel: int = 0) -> Self:
+        """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves;
+        where S is zero there is none."""
         size, axes = np.linalg.eigh(np.asarray(shapes, float))
         roots = axes * np.sqrt(np.maximum(size, 0.0))[:, None]
-        if shown is not None:
-            roots = roots * np.asarray(shown, float)[:, None, None]
-        at, ball = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
-        unit, mesh = np.array(ball.points), ball.copy()
+        at, mesh = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
+        unit = np.array(mesh.points)
         look = {"lighting": False, "reset_camera": False, "render": False}
         self._panel(panel).add_mesh(mesh, color=colour(role), opacity=0.4, **look)
 
@@ -294,11 +290,9 @@ class Scene(contextlib.AbstractContextManager):
                 return True
         return False
 
-    def turn(self, degrees: float = 0.0, *, away: float = 1.0) -> Self:
-        """Turns all eyes around the subject, to the right as seen from above, and moves them so many times as far."""
-        eye = self.plotter.renderers[0].camera
-        eye.Azimuth(degrees)
-        eye.position = np.add(eye.focal_point, away * np.subtract(eye.position, eye.focal_point))
+    def turn(self, degrees: float) -> Self:
+        """Turns all eyes around the subject, to the right as seen from above."""
+        self.plotter.renderers[0].camera.Azimuth(degrees)
         return self
 
     def smooth(self, yes: bool) -> None:
