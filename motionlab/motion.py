@@ -42,13 +42,10 @@ class Motion:
 
     def __post_init__(self) -> None:
         check_shape(self.rot, f"... T {len(self.skeleton)} 3 3", "rot")
-        check_shape(self.root, "... T 3", "root")
         batch = self.rot.shape[:-3]
-        if self.root.shape[:-1] != batch:
-            raise ShapeError(f"root {tuple(self.root.shape)} and rot {tuple(self.rot.shape)}: leading axes differ")
-        if self.contacts is not None and self.contacts.shape != (*batch, len(self.skeleton.contact_names)):
-            expected = (*batch, len(self.skeleton.contact_names))
-            raise ShapeError(f"contacts: expected shape {expected}, got {tuple(self.contacts.shape)}")
+        for name, x, size in (("root", self.root, 3), ("contacts", self.contacts, len(self.skeleton.contact_names))):
+            if x is not None and x.shape != (*batch, size):
+                raise ShapeError(f"{name}: expected shape {(*batch, size)} as of rot, got {tuple(x.shape)}")
         if not 0 < self.fps < math.inf:
             raise ShapeError(f"fps: expected a positive number, got {self.fps}")
 

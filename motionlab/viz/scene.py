@@ -130,7 +130,7 @@ class Scene(contextlib.AbstractContextManager):
         return self._surface(motion, shape, figure.faces, show, panel, frame, shadow, framed)
 
     def exchange(self, motion: Motion, *, panel: int = 0) -> Self:
-        """Puts another motion, of the same joints, into a panel's last framed figure or body that moves."""
+        """Puts another motion, of the same joints, into a panel's last framed figure or body."""
         held, place = self._figures[panel]
         held[0] = single(motion)
         self._seen[panel][place] = (mannequin.array(motion.positions), motion.fps)
@@ -157,14 +157,14 @@ class Scene(contextlib.AbstractContextManager):
         return self._surface(motion, partial(_skin, body), faces, show, panel, frame, shadow, framed, shown)
 
     def _surface(self, motion, shape, faces, show, panel, frame, shadow, framed, shown=None) -> Self:
-        if frame is not None and not -motion.frames <= frame < motion.frames:
-            raise IndexError(f"frame {frame}: the motion has {motion.frames}")
-        plotter, held = self._panel(panel), [motion]
-        first = 0 if frame is None else frame % motion.frames
-        drawn = (first, motion)
+        if frame is not None:
+            if not -motion.frames <= frame < motion.frames:
+                raise IndexError(f"frame {frame}: the motion has {motion.frames}")
+            motion = motion.cut(frame % motion.frames, frame % motion.frames + 1)
+        plotter, held, drawn = self._panel(panel), [motion], (0, motion)
         if self._left is None:
-            self._left = viewpoint.left_of(motion.cut(first, first + 1))
-        points = shape(motion, first)
+            self._left = viewpoint.left_of(motion)
+        points = shape(motion, 0)
         mesh = mannequin.surface(points, faces)
         shade = Shadow(plotter, points, faces, shadow) if shadow else None
         actors = [show(plotter, mesh), *([shade.actor] if shade else [])]
@@ -186,11 +186,10 @@ class Scene(contextlib.AbstractContextManager):
         if shown is not None and np.any(shown):  # where nobody is shown does not decide where the eye stands
             on = np.flatnonzero(shown)
             positions = positions[on[(np.searchsorted(on, np.arange(len(positions)), "right") - 1).clip(0)]]
-        if frame is None:
-            self._move(update)
-            if framed:
-                self._figures[panel] = (held, len(self._seen[panel]))
-        return self._watch(panel, positions if frame is None else positions[[first]], motion.fps) if framed else self
+        if framed:
+            self._figures[panel] = (held, len(self._seen[panel]))
+            self._watch(panel, positions, motion.fps)
+        return self._move(update)
 
     def mesh(self, vertices, faces, paint=LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0) -> Self:
         """Adds a mesh of vertices (V, 3), metres, and faces (F, 3) that stands still: a table."""
