@@ -76,8 +76,6 @@ class Scene(contextlib.AbstractContextManager):
         self._view |= {"follow": follow, "headroom": 0.11 if any(panels) else 0.02, "footroom": footroom}
         how = {"window_size": list(size), "border": False, "lighting": "none"}
         self.plotter = pv.Plotter(off_screen=True, shape=(1, len(panels)), **how)
-        if viz.draft or not fine:
-            self.plotter.render_window.SetMultiSamples(0)
         self._updates: list[Callable[[float], None]] = []
         self._figures: dict[int, tuple[list[Motion], int]] = {}  # panel -> motion of its last one, place in _seen
         self._eyes: dict[int, tuple] = {}  # panel -> where its eye was put and what it looks at
@@ -87,12 +85,12 @@ class Scene(contextlib.AbstractContextManager):
         for index, label in enumerate(panels):
             plotter = self._panel(index)
             plotter.set_background(PAPER)
-            if fine and not viz.draft:
-                plotter.enable_anti_aliasing("ssaa", all_renderers=False)
+            plotter.enable_anti_aliasing("ssaa", all_renderers=False)
             mannequin.add_lights(plotter)
             if label:
                 mannequin.add_words(plotter, label, "upper_edge", max(size[1] / 42, 7))
         self._smoothing = [renderer.GetPass() for renderer in self.plotter.renderers]
+        self.smooth(fine and not viz.draft)
 
     def _panel(self, panel: int) -> pv.Plotter:
         if not 0 <= panel < len(self.panels):
@@ -223,19 +221,12 @@ class Scene(contextlib.AbstractContextManager):
         return self._move(update)
 
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Self:
-        """Adds the path of a joint: pale as a whole, strong up to now."""
+        """Adds the whole path of a joint."""
         path = mannequin.array(single(motion).positions[:, motion.skeleton.index(joint)])
-        count, look = max(len(path), 2), {"render_lines_as_tubes": True, "ambient": 0.6, "diffuse": 0.4}
-        at = path[np.minimum(np.arange(count), len(path) - 1)]
-        for paint, width in ((blend(colour(role), PAPER, 0.6), 2), (colour(role), 5)):
-            line = pv.PolyData(at.copy(), lines=[count, *range(count)])
-            self._panel(panel).add_mesh(line, color=paint, line_width=width, reset_camera=False, **look)
-
-        def update(seconds: float) -> None:
-            now = int(np.clip(round(seconds * motion.fps), 0, len(path) - 1))
-            line.points = path[np.minimum(np.arange(count), now)]
-
-        return self._move(update)._watch(panel, path[:, None], motion.fps)
+        line = pv.PolyData(path, lines=[len(path), *range(len(path))])
+        look = {"line_width": 5, "render_lines_as_tubes": True, "ambient": 0.6, "diffuse": 0.4}
+        self._panel(panel).add_mesh(line, color=colour(role), reset_camera=False, **look)
+        return self._watch(panel, path[:, None], motion.fps)
 
     def caption(self) -> Callable[[str], None]:
         """Adds a line of text in the lower left corner; returns the function that sets it."""
