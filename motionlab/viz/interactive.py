@@ -10,7 +10,6 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
-from unittest import mock
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -54,13 +53,8 @@ def _trame(scene: Scene):
 
     What turns one panel turns all. While something moves it is drawn quickly, and once more when it rests.
     """
-    from trame_pyvista.jupyter import elegantly_launch, get_server
-
-    server = get_server(name=scene.plotter.theme.trame.jupyter_server_name)
-    if not server.running:
-        # trame's WebAssembly view, not used here, downloads itself when the server starts: an error without a network
-        with mock.patch.dict(sys.modules, {"trame.widgets.vtklocal": None}):
-            elegantly_launch(server)
+    # trame's WebAssembly view, not used here, downloads itself when the server starts: an error without a network
+    sys.modules.setdefault("trame.widgets.vtklocal", None)
     scene.plotter.enable_terrain_style(mouse_wheel_zooms=_WHEEL)  # the horizon stays level
     scene.plotter.iren.interactor.EnableRenderOff()  # a hand moves the eye; trame draws as often as it can
     scene.plotter.notebook = True  # else pyvista guesses, and shows nothing where it sees no notebook
