@@ -179,7 +179,6 @@ def match_camera(eye: pv.Camera, camera: Camera) -> None:
     k, r, centre = array(camera.intrinsics), array(camera.rotation), array(camera.centre)
     w, h = camera.width, camera.height
     eye.position, eye.focal_point, eye.up = centre, centre + r[2], -r[1]
-    eye.view_angle = float(np.degrees(2 * np.arctan(h / 2 / k[1, 1])))
     projection = [  # columns: VTK's camera axes, x right, y up, z backward
         [2 * k[0, 0] / w, -2 * k[0, 1] / w, 1 - 2 * k[0, 2] / w, 0],
         [0, 2 * k[1, 1] / h, 2 * k[1, 2] / h - 1, 0],
