@@ -345,23 +345,21 @@ def test_bad_input_says_what_is_wrong(tmp_path):
         Scene((100, 100), camera=camera)
 
 
-def test_an_experiment_is_drawn_anew_and_says_what_went_wrong():
-    draw = lambda rows=2: np.zeros((rows, 8, 3), np.uint8)  # noqa: E731
-    picture, message, knob = explore(draw, rows=(0, 8, 1)).children
-    before, knob.value = picture.value, 4
-    assert picture.value != before and not message.value
-    knob.value = 0
-    assert "Error" in message.value
-
-
-def test_knobs_say_their_units_and_a_result_may_be_a_film(tmp_path):
+def test_knobs_redraw_a_picture_or_a_film_and_say_units_and_errors(tmp_path):
     def draw(seconds=0.5):
+        if seconds == 0.2:
+            raise ValueError("too short")
         return film(standing().cut(0, int(10 * seconds)), tmp_path / "a.mp4", size=SMALL)
 
     picture, message, knob = explore(draw, units={"seconds": "s"}, seconds=(0.2, 0.8, 0.1)).children
     before, knob.value = picture.value, 0.8
     assert "<video" in before and picture.value != before and not message.value
     assert knob.description == "seconds (s)"
+    before, knob.value = picture.value, 0.2
+    assert picture.value == before and message.value == "ValueError: too short"
+    picture, message, knob = explore(lambda rows=2: np.zeros((rows, 8, 3), np.uint8), rows=(0, 8, 1)).children
+    before, knob.value = picture.value, 4
+    assert "<img" in before and picture.value != before and not message.value
 
 
 def test_a_film_has_a_bar_where_somebody_watches(tmp_path, capsys):
