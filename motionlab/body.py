@@ -337,6 +337,5 @@ def _stretches(own: Skeleton, theirs: Skeleton) -> tuple[Tensor, Skeleton, Tenso
 def _along(was: Tensor, now: Tensor, girth: Tensor) -> Tensor:
     """The map (3, 3) that takes one bone to another and what lies across it by ``girth``."""
     share = torch.outer(was, was) / was.square().sum()
-    return rotation.rotation_between(was, now) @ (
-        girth * (torch.eye(3).to(was) - share) + now.norm() / was.norm() * share
-    )
+    stretch = girth * (torch.eye(3).to(was) - share) + now.norm() / was.norm() * share
+    return rotation.rotation_between(was, now) @ stretch

@@ -1,7 +1,5 @@
 """A body on other people's bones: it stays a human body, and its joints are theirs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
