@@ -150,10 +150,10 @@ def matrix_to_euler(matrix: Tensor, order: str) -> Tensor:
     from scipy.spatial.transform import Rotation
 
     check_shape(matrix, "... 3 3", "matrix")
-    turns = Rotation.from_matrix(matrix.double().reshape(-1, 3, 3).numpy(force=True))
+    turns = Rotation.from_quat(matrix_to_quaternion(matrix).reshape(-1, 4).numpy(force=True), scalar_first=True)
     with warnings.catch_warnings(action="ignore"):  # of gimbal lock
         angles = torch.from_numpy(turns.as_euler(order.upper())).to(matrix)
-    return angles.reshape(*matrix.shape[:-2], 3)
+    return angles.reshape(*matrix.shape[:-2], 3) + 0.0  # no -0
 
 
 def geodesic(a: Tensor, b: Tensor) -> Tensor:
