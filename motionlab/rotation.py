@@ -6,6 +6,7 @@ both are series in the squared angle where it is small, good to rounding in valu
 """
 
 import math
+import warnings
 
 import torch
 from kornia.geometry import conversions as kc
@@ -140,35 +141,19 @@ def matrix_to_euler(matrix: Tensor, order: str) -> Tensor:
     """Converts matrices (..., 3, 3) to intrinsic angles (..., 3) in radians; see :func:`euler_to_matrix`.
 
     The middle angle lies in [-pi/2, pi/2] for three different axes ("ZXY") and in [0, pi] where the first
-    returns ("ZXZ"); the others in [-pi, pi]. In gimbal lock only the sum or difference of the outer two is
-    defined: the third is then 0.
+    returns ("ZXZ"); the others in [-pi, pi]. In gimbal lock (to 1e-7) only the sum or difference of the outer two is
+    defined: the third is then 0. Without gradient.
 
-    Source: Bernardes & Viollet 2022, "Quaternion to Euler angles conversion".
     Raises:
         ValueError: not one of the twelve orders.
     """
+    from scipy.spatial.transform import Rotation
+
     check_shape(matrix, "... 3 3", "matrix")
-    order = order.lower()
-    if len(order) != 3 or set(order) - set("xyz") or order[1] in (order[0], order[2]):
-        raise ValueError(f"order: expected three axes, neighbours different, as ZXY; got {order!r}")
-    k, j, i = ("xyz".index(axis) for axis in order)
-    proper = i == k
-    k = 3 - i - j if proper else k
-    sign = (i - j) * (j - k) * (k - i) // 2
-    w, *xyz = kc.rotation_matrix_to_quaternion(matrix).unbind(-1)
-    a, b, c, d = w, xyz[i], xyz[j], xyz[k] * sign
-    if not proper:
-        a, b, c, d = a - c, b + d, c + a, d - b
-    middle = 2 * torch.atan2(torch.hypot(c, d), torch.hypot(a, b))
-    half_sum, half_difference = torch.atan2(b, a), torch.atan2(d, c)
-    near = 8 * torch.finfo(matrix.dtype).eps
-    low, high = torch.hypot(c, d) < near, torch.hypot(a, b) < near
-    first = torch.where(high, half_difference, half_sum) + torch.where(low, half_sum, half_difference)
-    third = torch.where(low | high, 0.0, half_sum - half_difference)
-    if not proper:
-        first, middle = first * sign, middle - math.pi / 2
-    first, third = (x - math.tau * (x / math.tau).round() for x in (first, third))
-    return torch.stack((first, middle, third), -1)
+    turns = Rotation.from_quat(matrix_to_quaternion(matrix).reshape(-1, 4).numpy(force=True), scalar_first=True)
+    with warnings.catch_warnings(action="ignore"):  # of gimbal lock
+        angles = torch.from_numpy(turns.as_euler(order.upper())).to(matrix)
+    return angles.reshape(*matrix.shape[:-2], 3) + 0.0  # no -0
 
 
 def geodesic(a: Tensor, b: Tensor) -> Tensor:
@@ -256,27 +241,19 @@ def unroll_axis_angle(aa: Tensor, dim: int = -2) -> Tensor:
 
     The first frame stays. No choice is continuous everywhere: when a path that has left the ball of radius pi passes
     near the zero rotation, its axis may swing round in one frame and the vector jump with it. A zero rotation (to
-    rounding) takes the axis of the frame before. A cumulative sum unwraps the angles along a sign-continuous axis, then
-    k is corrected until no frame has a nearer choice.
+    rounding) takes the axis of the frame before.
     """
     check_shape(aa, "... 3", "axis_angle")
     x = aa.movedim(dim, 0)
-    angle = torch.linalg.vector_norm(x, dim=-1, keepdim=True)
-    known = angle > 8 * torch.finfo(x.dtype).eps
-    unit = torch.where(known, x / torch.where(known, angle, 1.0), 0.0)
-    sign = torch.where((unit[1:] * unit[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(x).cumprod(0)
-    jump = torch.diff(sign * angle[1:], dim=0, prepend=angle[:1]) / math.tau
-    signed = angle[1:] - sign * math.tau * jump.round().cumsum(0)
-    unrolled = torch.cat((x[:1], unit[1:] * signed))
-    for _ in range(len(x)):
-        before = unrolled[:-1]
-        axis = torch.where(known[1:], unit[1:], torch.nn.functional.normalize(before, dim=-1))
-        turns = (((axis * before).sum(-1, keepdim=True) - angle[1:]) / math.tau).round()
-        update = torch.cat((x[:1], axis * (angle[1:] + math.tau * turns)))
-        if torch.equal(update, unrolled):
-            break
-        unrolled = update
-    return unrolled.movedim(0, dim).contiguous()
+    angles = torch.linalg.vector_norm(x, dim=-1, keepdim=True)
+    known = angles > 8 * torch.finfo(x.dtype).eps
+    axes = torch.where(known, x / torch.where(known, angles, 1.0), 0.0)
+    unrolled = [*x[:1]]
+    for angle, axis, has_axis in zip(angles[1:], axes[1:], known[1:], strict=True):
+        axis = torch.where(has_axis, axis, torch.nn.functional.normalize(unrolled[-1], dim=-1))
+        turns = (((axis * unrolled[-1]).sum(-1, keepdim=True) - angle) / math.tau).round()
+        unrolled.append(axis * (angle + math.tau * turns))
+    return torch.stack(unrolled).movedim(0, dim).contiguous() if unrolled else aa
 
 
 def _series(coefficients: list[float], x: Tensor) -> Tensor:

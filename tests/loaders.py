@@ -84,7 +84,7 @@ def numbers_of(value) -> list[torch.Tensor]:
         everybody = value.people([track.id for track in value.tracks])
         return [everybody.keypoints, everybody.confidence, torch.tensor([list(r.values()) for r in value.table()])]
     if isinstance(value, BodyModel):
-        return [value.template, value.joints, value.weights, value.shape_directions, value.skeleton.offsets]
+        return [value.template, value.joints, value.weights, value.skeleton.offsets]
     cameras = value.values() if isinstance(value, dict) else value if isinstance(value, list) else [value]
     assert all(isinstance(camera, Camera) for camera in cameras) and cameras
     return [t for camera in cameras for t in (camera.intrinsics, camera.rotation, camera.translation)]

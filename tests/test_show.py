@@ -73,10 +73,10 @@ def test_files_of_other_skeletons_stand_side_by_side_under_their_names(desk, fil
 
 def test_bones_are_the_files_own_and_a_cut_is_a_part(desk, filmed, capsys):
     bvh.save("other.bvh", mixamo(walk(60, 24.0)))
-    assert main(["show", "other.bvh", "--out", "film.gif", "--bones", "--cut", "1", "99"]) == 0
+    assert main(["show", "other.bvh", "--out", "film.mp4", "--bones", "--cut", "1", "99"]) == 0
     ((motions, how),) = filmed
     assert how["body"] is None and "LeftUpLeg" in motions["other.bvh"].skeleton.names
-    assert motions["other.bvh"].frames == 36 and "film.gif: a film of 1.5 s" in capsys.readouterr().out
+    assert motions["other.bvh"].frames == 36 and "film.mp4: a film of 1.5 s" in capsys.readouterr().out
 
 
 def test_a_long_motion_plays_faster_and_that_is_said(desk, capsys):
@@ -100,7 +100,7 @@ def test_key_poses_are_a_row_for_each_file_also_of_one_name(desk):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("walk.bvh", "--out", "film.avi"), "end it in .mp4 or .gif or .png"),
+        (("walk.bvh", "--out", "film.avi"), "end it in .mp4 or .png"),
         (("walk.bvh", "--out", "nowhere/film.mp4"), "there is no such folder"),
         (("walk.bvh", "./walk.bvh", "--out", "film.mp4"), "name each file once"),
         (("walk.bvh",) * 7 + ("--out", "film.mp4"), "show 6 at most"),
@@ -132,7 +132,7 @@ def test_a_film_of_what_cannot_be_filmed_is_refused_before_anything_is_made(desk
     shutil.copy("walk.bvh", "motions")
     for words, said in (
         ("repair motions/ --out made/ --film film.mp4", "motionlab show IN OUT"),
-        ("repair walk.bvh --out made.bvh --film film.png", "end it in .mp4 or .gif"),
+        ("repair walk.bvh --out made.bvh --film film.png", "end it in .mp4"),
         ("generate --count 7 --out new/ --film film.mp4", "show 6 at most"),
     ):
         assert main(words.split()) == 2 and said in capsys.readouterr().err

@@ -54,10 +54,6 @@ def test_the_standard_stands_on_the_floor_facing_y():
     assert [STANDARD.names[i] for i in STANDARD.contact_indices[3:7]] == list(FEET)
 
 
-def test_scaling_scales_the_sole_too():
-    torch.testing.assert_close(STANDARD.scaled(2.0).standing_height(), 2 * STANDARD.standing_height())
-
-
 def test_mirror_partners_swap_sides():
     partner = STANDARD.mirror_indices
     assert [partner[j] for j in partner] == list(range(22))

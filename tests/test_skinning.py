@@ -48,9 +48,7 @@ def strip(weights, length=1.0):
     joints = weights.shape[1]
     return BodyModel(
         template=template,
-        shape_directions=torch.zeros(2 * count, 3, 0),
         joints=torch.zeros(joints, 3),
-        joint_directions=torch.zeros(joints, 3, 0),
         bind_rot=torch.eye(3).repeat(joints, 1, 1),
         weights=torch.cat((weights, weights)),
         faces=faces,
@@ -85,7 +83,6 @@ def test_separate_parts_are_tied_to_the_body():
     body = dataclasses.replace(
         ribbon,
         template=torch.cat((ribbon.template, island)),
-        shape_directions=torch.zeros(9, 3, 0),
         weights=torch.cat((ribbon.weights, torch.tensor([[0.0, 1.0]]).repeat(3, 1))),
         faces=torch.cat((ribbon.faces, torch.tensor([[6, 7, 8]]))),
     )

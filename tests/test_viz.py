@@ -13,7 +13,6 @@ import pytest
 import torch
 import trimesh
 from matplotlib.colors import to_rgb
-from PIL import Image
 
 from motionlab import rotation
 from motionlab.body import vertex_normals
@@ -141,24 +140,6 @@ def test_a_scene_moves_in_place_and_in_sync():
         assert np.array_equal(scene.image(0.7), scene.image(9.0))  # past its end a motion holds still
 
 
-def test_a_gif_keeps_its_time_and_its_pixels(tmp_path):
-    generator = np.random.default_rng(0)
-    blank = np.full((40, 60, 3), 240, np.uint8)
-    pictures = [blank.copy() for _ in range(7)]
-    for k, picture in enumerate(pictures):
-        picture[10:20, 5 * k : 5 * k + 10] = generator.choice([0, 90, 200], 3)
-    pictures[4] = pictures[3].copy()  # a frame in which nothing moves still takes its time
-    path = tmp_path / "a.gif"
-    assert write_film(pictures, path, 30.0, 0.2).seconds == 0.2
-    shown = []
-    with Image.open(path) as film:
-        for k in range(film.n_frames):
-            film.seek(k)
-            shown += [np.asarray(film.convert("RGB"))] * round(film.info["duration"] / 33)  # a still one lasts longer
-        assert film.info["loop"] == 0
-    np.testing.assert_array_equal(shown, pictures)
-
-
 def test_a_slider_moves_the_picture():
     box = slider(standing(), "picture", size=SMALL)
     view, controls = box.children
@@ -188,8 +169,6 @@ def test_a_figure_takes_another_motion_and_the_eye_follows_it():
     np.testing.assert_array_equal(scene.exchange(slow).image(), before)
     scene.exchange(fast)
     np.testing.assert_array_equal(scene.image(0.7), Scene(SMALL, follow=True).floor().skeleton(fast).image(0.7))
-    with pytest.raises(ShapeError, match="8, 22, 3"):
-        scene.exchange(standing(frames=7))
 
 
 def test_a_hand_that_turned_one_eye_turns_all_and_the_turn_travels_on():
@@ -249,14 +228,12 @@ def test_who_flies_off_does_not_shrink_the_others(follow):
     assert height(flying(40.0)) > 0.7 * height(calm) > 0.4
 
 
-def test_the_eye_stays_with_who_flies_if_it_follows_and_else_says_that_they_left():
-    seen = {}
-    for follow in (True, False):
-        scene = Scene((640, 240), panels=("truth", "rival"), follow=follow)
-        scene.skeleton(standing(30, 30.0)).skeleton(flying(8.0), panel=1)
-        seen[follow] = [bool(scene.at(now)._gone[1].GetVisibility()) for now in (0.0, 0.9)]
-        assert not scene._gone[0].GetVisibility()
-    assert seen == {True: [False, False], False: [False, True]}
+@pytest.mark.parametrize("follow", [True, False])
+def test_the_eye_stays_with_who_flies_only_if_it_follows(follow):
+    scene = Scene((640, 240), panels=("truth", "rival"), follow=follow)
+    picture = scene.skeleton(standing(30, 30.0)).skeleton(flying(8.0), panel=1).image(0.9).astype(int)
+    seen = (picture[..., 2] - picture[..., 0] > 60).reshape(240, 2, 320).sum((0, 2))  # blue pixels of each panel
+    assert seen[0] > 100 and (seen[1] > 100) == follow
 
 
 def test_a_ghost_stands_in_the_other_panels_only():
@@ -347,7 +324,7 @@ def test_bad_input_says_what_is_wrong(tmp_path):
             scene.skeleton(motion, "mine")
         with pytest.raises(ShapeError, match="batch"):
             scene.skeleton(batch)
-        with pytest.raises(ShapeError, match="no frames"):
+        with pytest.raises(ShapeError, match="without frames"):
             scene.trail(motion.cut(0, 0), "left_wrist")
         with pytest.raises(DataError, match="frame 2"):
             scene.skeleton(broken)
@@ -358,51 +335,45 @@ def test_bad_input_says_what_is_wrong(tmp_path):
         with pytest.raises(KeyError, match="no joint"):
             scene.trail(motion, "tail")
     with pytest.raises(ShapeError, match="no motions"):
-        film({}, tmp_path / "x.gif")
-    with pytest.raises(ValueError, match=r"\.gif or \.mp4"):
+        film({}, tmp_path / "x.mp4")
+    with pytest.raises(ValueError, match=r"ends in \.mp4"):
         write_film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "x.webm", 10, 1.0)
-    with pytest.raises(ValueError, match="50 at most"):
-        write_film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "x.gif", 120, 1.0)
     with pytest.raises(ShapeError, match="no pictures"):
-        write_film([], tmp_path / "x.gif", 10, 1.0)
+        write_film([], tmp_path / "x.mp4", 10, 1.0)
     camera = look_at(torch.tensor([3.0, 0.0, 1.0]), torch.zeros(3), focal=100, width=160, height=120)
     with pytest.raises(ShapeError, match="size"):
         Scene((100, 100), camera=camera)
 
 
-def test_an_experiment_is_drawn_anew_and_says_what_went_wrong():
-    draw = lambda rows=2: np.zeros((rows, 8, 3), np.uint8)  # noqa: E731
-    picture, message, knob = explore(draw, rows=(0, 8, 1)).children
-    before, knob.value = picture.value, 4
-    assert picture.value != before and not message.value
-    knob.value = 0
-    assert "Error" in message.value
-
-
-def test_knobs_say_their_units_and_a_result_may_be_a_film(tmp_path):
+def test_knobs_redraw_a_picture_or_a_film_and_say_units_and_errors(tmp_path):
     def draw(seconds=0.5):
+        if seconds == 0.2:
+            raise ValueError("too short")
         return film(standing().cut(0, int(10 * seconds)), tmp_path / "a.mp4", size=SMALL)
 
     picture, message, knob = explore(draw, units={"seconds": "s"}, seconds=(0.2, 0.8, 0.1)).children
     before, knob.value = picture.value, 0.8
     assert "<video" in before and picture.value != before and not message.value
     assert knob.description == "seconds (s)"
-    with pytest.raises(ValueError, match="gap; knobs are seconds"):
-        explore(draw, units={"gap": "s"}, seconds=(0.2, 0.8, 0.1))
+    before, knob.value = picture.value, 0.2
+    assert picture.value == before and message.value == "ValueError: too short"
+    picture, message, knob = explore(lambda rows=2: np.zeros((rows, 8, 3), np.uint8), rows=(0, 8, 1)).children
+    before, knob.value = picture.value, 4
+    assert "<img" in before and picture.value != before and not message.value
 
 
 def test_a_film_has_a_bar_where_somebody_watches(tmp_path, capsys):
     how = {"size": SMALL, "fps": 10.0}
-    film(standing(), tmp_path / "walk.gif", **how)
+    film(standing(), tmp_path / "walk.mp4", **how)
     assert capsys.readouterr().err == ""
-    film(standing(), tmp_path / "walk.gif", progress=True, **how)
-    assert "film walk.gif" in capsys.readouterr().err
+    film(standing(), tmp_path / "walk.mp4", progress=True, **how)
+    assert "film walk.mp4" in capsys.readouterr().err
 
 
 def test_an_ellipsoid_has_its_half_axes_moves_and_goes():
-    shapes = np.stack([np.diag([0.01, 0.04, 0.09])] * 2)
+    shapes = np.stack([np.diag([0.01, 0.04, 0.09]), np.zeros((3, 3))])
     with Scene((80, 80)) as scene:
-        scene.ellipsoid([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]], shapes, 1.0, shown=[True, False])
+        scene.ellipsoid([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]], shapes, 1.0)
         mesh = list(scene.plotter.renderer.actors.values())[-1].mapper.dataset
         assert np.allclose(mesh.bounds, (-0.1, 0.1, -0.2, 0.2, 0.7, 1.3), atol=0.01)
         for update in scene._updates:

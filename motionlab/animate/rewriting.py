@@ -20,8 +20,8 @@ from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.io import bvh, gltf, smpl
-from motionlab.io.reading import Location, check_writable, read_bytes, read_npz, read_text, reading
-from motionlab.motion import Motion
+from motionlab.io.reading import Location, read_bytes, read_npz, read_text, reading
+from motionlab.motion import Motion, single
 from motionlab.rest import reframed
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
@@ -324,7 +324,7 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
     check_target(source, target)
     suffix, lost = Path(target).suffix.lower(), _left_behind(source)
     if source is not None and suffix == Path(source).suffix.lower() and suffix in REWRITERS:
-        check_writable(target, made)
+        single(made, target)
         try:
             with reading(source, _REMEDY) as at:
                 if made.skeleton.names != loaded.skeleton.names:

@@ -20,7 +20,7 @@ from motionlab.retarget import retarget, with_rest
 from motionlab.skeleton import STANDARD
 
 _READING = ("unit", "up", "axes", "fps_in", "translations", "asf", "animation", "person")
-_FILMS, _PICTURE = (".mp4", ".gif"), ".png"
+_FILM, _PICTURE = ".mp4", ".png"
 _PICTURES = 900  # of a film: 30 s at 30 a second; they are all in memory
 
 
@@ -105,7 +105,7 @@ def check_film(path: Path, count: int = 1, picture: bool = False) -> None:
     Raises:
         DataError: another ending, no such folder, or too many motions.
     """
-    endings = (*_FILMS, _PICTURE) if picture else _FILMS
+    endings = (_FILM, _PICTURE) if picture else (_FILM,)
     if path.suffix not in endings:
         raise DataError("no film can be written in this format", path=path, remedy=f"end it in {' or '.join(endings)}")
     if not path.parent.is_dir():
@@ -126,8 +126,7 @@ def draw(motions: Mapping[str, Motion], path: Path, *, bones: bool = False, foll
         poses = min(8, *(motion.frames for motion in motions.values()))
         Image.fromarray(movie.strip(motions, poses, body=body)).save(path)
         return f"{path}: {poses} key poses"
-    most = _PICTURES if path.suffix == ".mp4" else None
-    film = movie.film(motions, path, follow=follow, most=most, body=body, roles={"given": "observation"})
+    film = movie.film(motions, path, follow=follow, most=_PICTURES, body=body, roles={"given": "observation"})
     faster = f", played {film.speed:.1f} times as fast" if film.speed > 1.05 else ""
     return f"{path}: a film of {film.seconds:.1f} s{faster}"
 
@@ -181,10 +180,7 @@ def convert(options: argparse.Namespace) -> int:
         if not 1 <= options.fps <= 1000:  # not a number is neither
             raise DataError(f"{options.fps:g} frames per second", place="--fps", remedy="give 1 to 1000")
         motion = resample(motion, options.fps)
-    if options.features and suffix != ".npy":
-        raise DataError("only a .npy holds features", path=target, remedy="leave out --features")
-    more = {"body": BodyModel.from_anny()} if body else {"as_features": True} if options.features else {}
-    WRITERS[suffix](target, motion, **more)
+    WRITERS[suffix](target, motion, **{"body": BodyModel.from_anny()} if body else {})
     for note in motion.notes[told:]:
         say_note(note)
     print(f"{target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")

@@ -92,7 +92,7 @@ def _add_motions(add: Callable) -> None:
     text = "draw motion files side by side: a film, or a picture of key poses"
     command, option = add("show", text, "walk.bvh --out walk.mp4", "commands.motions:show")
     option("files", nargs="+", type=Path, metavar="IN", help=f"a motion: {READ}; up to {MOST} of them")
-    text = "a film (.mp4, .gif), or key poses (.png), a row a file"
+    text = "a film (.mp4), or key poses (.png), a row a file"
     option("--out", type=Path, required=True, metavar="FILE", help=text)
     option("--bones", action="store_true", help="a figure of the file's own joints, not a body")
     option("--follow", action="store_true", help="the view moves along with who walks")
@@ -107,7 +107,6 @@ def _add_motions(add: Callable) -> None:
     _add_reading(command, rate=("--fps-in",))
     option("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")
     option("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
-    option("--features", action="store_true", help="a .npy of HumanML3D's 263 numbers, not of 22 joints")
     option("--bones", action="store_true", help="a .glb of the file's own joints, no body on the 22")
 
 

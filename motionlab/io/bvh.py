@@ -17,8 +17,8 @@ from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import AXES, UNITS, Axes, Fps, Unit, rerooted
-from motionlab.io.reading import RATES, Location, check_writable, floats, frame_rate, read_text, reading, text_lines
-from motionlab.motion import Motion
+from motionlab.io.reading import RATES, Location, floats, frame_rate, read_text, reading, text_lines
+from motionlab.motion import Motion, single
 from motionlab.skeleton import Skeleton
 
 #: The End Site of a joint that has no child: so much of its bone's length, along the bone's longest axis. BVH has no
@@ -82,7 +82,7 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
         DataError: it holds NaN or infinity, or the file cannot be written.
         ValueError: order, unit or up is none of the known ones.
     """
-    check_writable(path, motion)
+    single(motion, path)
     judging.check_given(unit, up, None)
     if sorted(order) != ["X", "Y", "Z"]:
         raise ValueError(f"expected an order of X, Y, Z, got {order!r}")

@@ -27,8 +27,8 @@ from motionlab.errors import ShapeError
 from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import Axes, Fps, Unit, rerooted
-from motionlab.io.reading import RATES, Location, check_writable, checked_array, frame_rate, read_bytes, reading
-from motionlab.motion import Motion
+from motionlab.io.reading import RATES, Location, checked_array, frame_rate, read_bytes, reading
+from motionlab.motion import Motion, single
 from motionlab.rest import reframed
 from motionlab.skeleton import Skeleton
 
@@ -372,7 +372,7 @@ def save(
     """
     people = [motions] if isinstance(motions, Motion) else list(motions)
     for motion in people:
-        check_writable(path, motion)
+        single(motion, path)
         if body is not None and body.skeleton.names != motion.skeleton.names:
             raise ShapeError(f"the body's joints are {body.skeleton.names}, the motion's {motion.skeleton.names}")
     if len({motion.fps for motion in people}) != 1:

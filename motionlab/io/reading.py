@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motionlab.errors import DataError, MissingData, ShapeError
-from motionlab.motion import Motion
+from motionlab.errors import DataError, MissingData
 
 #: Kana, or two signs of Chinese in a row; an accent of Latin-1 before a letter looks like one.
 _JAPANESE = re.compile("[\u3041-\u30fe]|[\u4e00-\u9fff]{2}")
@@ -213,20 +212,3 @@ def image_size(at: Location, value: object, place: str = "size") -> tuple[float,
     if not (pair > 0).all():
         raise at.error(f"expected width and height in pixels, got {value!r}", place=place)
     return float(pair[0]), float(pair[1])
-
-
-def check_writable(path: str | Path, motion: Motion) -> None:
-    """Checks that a motion can be written: one clip of at least one frame, all of its numbers finite.
-
-    Raises:
-        ShapeError: the motion has batch axes or no frames.
-        DataError: it holds NaN or infinity; names the first such frame.
-    """
-    if motion.root.ndim != 2 or motion.skeleton.offsets.ndim != 2:
-        raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
-    if motion.frames == 0:
-        raise ShapeError("a motion without frames cannot be written")
-    finite = motion.rot.isfinite().flatten(1).all(1) & motion.root.isfinite().all(1)
-    if not finite.all():
-        place = f"frame {int((~finite).nonzero()[0])}"
-        raise DataError("numbers that are not finite", path=path, place=place, remedy="cut or fill those frames")

@@ -5,7 +5,7 @@ Sequences are AMASS and its kin as npz, and what GVHMR, WHAM, TRAM, PHALP (4DHum
 """
 
 import io
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,14 +23,13 @@ from motionlab.io.pickles import array_of, arrays_of, read_pickle
 from motionlab.io.reading import (
     Location,
     check_keys,
-    check_writable,
     checked_array,
     frame_rate,
     read_bytes,
     read_npz,
     reading,
 )
-from motionlab.motion import Motion
+from motionlab.motion import Motion, single
 from motionlab.skeleton import STANDARD
 
 #: Joints of a model -> its name. All begin with the same 22: root and 21 body joints.
@@ -225,7 +224,7 @@ def save_motion(path: str | Path, motion: Motion, *, pelvis_offset: Tensor | Non
         ShapeError: batch axes, no frames, or not 22 joints.
         DataError: NaN or infinity, or the file cannot be written.
     """
-    check_writable(path, motion)
+    single(motion, path)
     offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
     check_shape(offset, "3", "pelvis_offset")
     check_shape(motion.rot, f"T {BODY} 3 3", "rot")
@@ -256,13 +255,13 @@ _VERTICES = {
 }
 
 
-def load(path: str | Path, betas: int = 10) -> BodyModel:
+def load(path: str | Path, betas: Sequence[float] = ()) -> BodyModel:
     """Reads a body from a file in SMPL's format, on the 22 standard joints.
 
     Hands, jaw and eyes of larger models move rigidly with the wrist or head above them: their weights are folded into
     it. Pose correctives (``posedirs``) of the 21 moving joints are kept and applied by :func:`motionlab.body.lbs`.
 
-    betas: how many shape directions to keep, as far as the file has them.
+    betas: the person's shape, standard deviations along the file's first directions; by default its average person.
 
     Source: Loper et al. 2015; Romero et al. 2017; Pavlakos et al. 2019.
     Raises:
@@ -284,7 +283,10 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
             raise at.error(f"joint {wrong[0]} has parent {parents[wrong[0]]}", place="kintree_table")
         if tuple(parents[:count]) != STANDARD.parents:
             raise at.error("does not begin with the tree of SMPL's 22 body joints", place="kintree_table")
-        shape = checked_array(at, raw["shapedirs"], f"{vertices} 3 B", "shapedirs")[..., :betas]
+        shape = checked_array(at, raw["shapedirs"], f"{vertices} 3 B", "shapedirs")
+        if len(betas) > shape.shape[-1]:
+            raise at.error(f"{shape.shape[-1]} shape directions, fewer than the {len(betas)} betas", place="shapedirs")
+        template = template + shape[..., : len(betas)] @ np.asarray(betas, float)
         weights = checked_array(at, raw["weights"], f"{vertices} {len(parents)}", "weights")
         regressor = checked_array(at, raw["J_regressor"], f"{len(parents)} {vertices}", "J_regressor")
         for key, rows in (("weights", weights), ("J_regressor", regressor)):
@@ -301,13 +303,12 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
             owners += [owners[parent]] if joint >= count else []
             folded[:, owners[joint]] += weights[:, joint]
         joints = regressor[:count] @ template
-        directions = np.einsum("jv,vcb->jcb", regressor[:count], shape)
         offsets = joints - np.vstack((joints[:1], joints[list(STANDARD.parents[1:])]))
         posed = None
         if "posedirs" in raw:
             posed = checked_array(at, raw["posedirs"], f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")
             posed = torch.from_numpy(posed[..., : 9 * (count - 1)]).float()
-        notes = [f"{at.path.name}: {vertices} vertices, {len(parents)} joints, {shape.shape[-1]} betas"]
+        notes = [f"{at.path.name}: {vertices} vertices, {len(parents)} joints"]
         if len(parents) > count:
             notes.append(f"weights of joints {count} to {len(parents) - 1} folded into the wrists and the head")
         if vertices not in _VERTICES:
@@ -315,9 +316,7 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
         sole = float(joints[:, 1].min() - template[:, 1].min())
         return BodyModel(
             template=torch.from_numpy(template).float(),
-            shape_directions=torch.from_numpy(shape).float(),
             joints=torch.from_numpy(joints).float(),
-            joint_directions=torch.from_numpy(directions).float(),
             bind_rot=torch.eye(3).repeat(count, 1, 1),
             weights=torch.from_numpy(folded / folded.sum(1, keepdims=True)).float(),
             faces=torch.from_numpy(faces).long(),

@@ -10,7 +10,6 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping
-from unittest import mock
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -54,16 +53,10 @@ def _trame(scene: Scene):
 
     What turns one panel turns all. While something moves it is drawn quickly, and once more when it rests.
     """
-    from trame_pyvista.jupyter import elegantly_launch, get_server
-
-    server = get_server(name=scene.plotter.theme.trame.jupyter_server_name)
-    if not server.running:
-        # trame's WebAssembly view, not used here, downloads itself when the server starts: an error without a network
-        with mock.patch.dict(sys.modules, {"trame.widgets.vtklocal": None}):
-            elegantly_launch(server)
-    scene.plotter.enable_terrain_style(mouse_wheel_zooms=False)  # the horizon stays level
-    hand, window = scene.plotter.iren, scene.plotter.render_window
-    hand.interactor.EnableRenderOff()  # a hand moves the eye; trame draws as often as it can
+    # trame's WebAssembly view, not used here, downloads itself when the server starts: an error without a network
+    sys.modules.setdefault("trame.widgets.vtklocal", None)
+    scene.plotter.enable_terrain_style(mouse_wheel_zooms=_WHEEL)  # the horizon stays level
+    scene.plotter.iren.interactor.EnableRenderOff()  # a hand moves the eye; trame draws as often as it can
     scene.plotter.notebook = True  # else pyvista guesses, and shows nothing where it sees no notebook
     view = scene.plotter.show(jupyter_backend="server", jupyter_kwargs={"add_menu": False}, return_viewer=True)
     resting: list[asyncio.TimerHandle] = []
@@ -82,14 +75,7 @@ def _trame(scene: Scene):
         stir()
         view.viewer.update()
 
-    def wheel(_: object, event: str) -> None:
-        away = _WHEEL ** hand.interactor.GetInteractorStyle().GetMouseWheelMotionFactor()
-        scene.turn(away=away if event == "MouseWheelBackwardEvent" else 1 / away)
-        update()
-
-    window.AddObserver("StartEvent", lambda *_: stir() if scene.heed() else None)
-    for event in ("MouseWheelForwardEvent", "MouseWheelBackwardEvent"):
-        hand.add_observer(event, wheel)
+    scene.plotter.render_window.AddObserver("StartEvent", lambda *_: stir() if scene.heed() else None)
     return view, update
 
 
@@ -184,15 +170,10 @@ def explore(draw: Callable, *, units: Mapping[str, str] | None = None, **knobs: 
         units: of knobs, by name: "gap (s)".
         knobs: as for ``ipywidgets.interact``: (low, high, step) and numbers make sliders, a list or mapping a menu,
             True or False a box to tick, or any widget. They begin at the defaults of ``draw``, where it has some.
-
-    Raises:
-        ValueError: a unit of no knob.
     """
     import ipywidgets
     import traitlets
 
-    if strange := set(units or {}) - set(knobs):
-        raise ValueError(f"units: no knob {', '.join(sorted(strange))}; knobs are {', '.join(knobs)}")
     hands = dict(zip(knobs, ipywidgets.interactive(lambda **values: None, **knobs).children[:-1], strict=True))
     begins = {p.name: p.default for p in inspect.signature(draw).parameters.values() if p.default is not p.empty}
     for name, hand in hands.items():

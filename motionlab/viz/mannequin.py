@@ -14,8 +14,6 @@ from vtkmodules.vtkCommonCore import vtkInformation
 from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
 from motionlab.body import vertex_normals
-from motionlab.errors import DataError, ShapeError
-from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, Skeleton
 from motionlab.viz.palette import INK, PAPER, TILE, blend, side_of, sides
 
@@ -33,25 +31,6 @@ _TILE = 0.5  # metres
 _FLOOR_Z, _SHADOW_Z = -0.008, -0.003  # metres below the floor: soles stay on top, layers do not fight
 _CELLS, _WIDTH = 144, 3.6  # cells of the square that carries a shadow; its least width, metres
 _LIGHT = np.array([0.10, -0.16])  # metres a shadow moves sideways per metre of height
-
-
-def single(motion: Motion) -> Motion:
-    """Returns the motion itself, if it is one clip with frames and finite numbers in it.
-
-    Raises:
-        ShapeError: a batch of motions, several bodies, or no frames. DataError: a frame that is not finite.
-    """
-    name = motion.name or "motion"
-    if motion.root.ndim != 2 or motion.positions.ndim != 3:
-        got = f"a batch of root {tuple(motion.root.shape)}, offsets {tuple(motion.skeleton.offsets.shape)}"
-        raise ShapeError(f"{name}: expected one clip (T, J) of one body, got {got}; take one with motion.clip(i)")
-    if motion.frames == 0:
-        raise ShapeError(f"{name}: no frames to show")
-    bad = ~motion.positions.isfinite().flatten(1).all(1)
-    if bad.any():
-        place = f"frame {int(bad.nonzero()[0])}"
-        raise DataError("a joint position is not finite", path=name, place=place, remedy="cut the frame away")
-    return motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,22 +165,16 @@ def array(x: Tensor) -> np.ndarray:
 
 def surface(points: np.ndarray, faces: np.ndarray) -> pv.PolyData:
     """Builds a mesh with normals."""
-    mesh = pv.PolyData.from_regular_faces(np.array(points, float), np.asarray(faces))
-    mesh.point_data.active_normals = _normals(mesh)
+    mesh = pv.PolyData.from_regular_faces(points, faces)
+    move_surface(mesh, points)
     return mesh
-
-
-def _normals(mesh: pv.PolyData) -> np.ndarray:
-    return vertex_normals(torch.as_tensor(np.array(mesh.points)), torch.as_tensor(mesh.regular_faces)).numpy()
 
 
 def move_surface(mesh: pv.PolyData, points: np.ndarray) -> None:
     """Moves a mesh in place: no new actor, no new topology."""
-    mesh.points[:] = points
-    mesh.point_data.active_normals[:] = _normals(mesh)
-    mesh.GetPoints().GetData().Modified()
-    mesh.GetPointData().GetNormals().Modified()
-    mesh.Modified()
+    mesh.points = points
+    normals = vertex_normals(torch.as_tensor(points), torch.as_tensor(mesh.regular_faces))
+    mesh.point_data.active_normals = normals.numpy()
 
 
 def add_surface(plotter: pv.Plotter, mesh: pv.PolyData, paint, opacity: float = 1.0) -> pv.Actor:

@@ -19,10 +19,9 @@ from tqdm.auto import tqdm
 from motionlab import viz
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
-from motionlab.motion import Motion
+from motionlab.motion import Motion, single
 from motionlab.observation import Observation2D
 from motionlab.viz import mannequin, viewpoint
-from motionlab.viz.mannequin import single
 from motionlab.viz.palette import ROLE, colour, side_of, sides
 from motionlab.viz.scene import Scene
 
@@ -64,8 +63,6 @@ class Film:
 
     def _repr_html_(self) -> str:
         data = base64.b64encode(self.path.read_bytes()).decode()
-        if self.path.suffix == ".gif":
-            return f'<img alt="{self.path.stem}" src="data:image/gif;base64,{data}">'
         still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}"
         look = f'controls loop autoplay muted playsinline style="max-width:100%" poster="{still}"'
         return f'<video {look} src="data:video/mp4;base64,{data}"></video>'
@@ -74,33 +71,19 @@ class Film:
 def write_film(
     pictures: Sequence[np.ndarray], path: str | Path, fps: float, seconds: float, speed: float = 1.0
 ) -> Film:
-    """Writes pictures (H, W, 3) uint8 as a .gif that loops or an .mp4; ``seconds`` and ``speed`` as of :class:`Film`.
+    """Writes pictures (H, W, 3) uint8 as an .mp4; ``seconds`` and ``speed`` as of :class:`Film`.
 
     Raises:
-        ShapeError: no pictures. ValueError: another ending, or a rate that the format cannot play.
+        ShapeError: no pictures. ValueError: another ending.
     """
     path = Path(path)
     if len(pictures) == 0:
         raise ShapeError(f"{path}: no pictures to write")
-    if path.suffix == ".gif":
-        _write_gif(path, pictures, fps)
-    elif path.suffix == ".mp4":  # its pixels come in pairs
-        height, width = (n // 2 * 2 for n in pictures[0].shape[:2])
-        imageio.mimwrite(path, [p[:height, :width] for p in pictures], fps=fps, macro_block_size=2, quality=6)
-    else:
-        raise ValueError(f"{path}: a film ends in .gif or .mp4")
+    if path.suffix != ".mp4":
+        raise ValueError(f"{path}: a film ends in .mp4")
+    height, width = (n // 2 * 2 for n in pictures[0].shape[:2])  # its pixels come in pairs
+    imageio.mimwrite(path, [p[:height, :width] for p in pictures], fps=fps, macro_block_size=2, quality=6)
     return Film(path, seconds, speed, jpeg(pictures[len(pictures) // 2]))
-
-
-def _write_gif(path: Path, pictures: Sequence[np.ndarray], fps: float) -> None:
-    """Write a GIF in one palette; it counts hundredths of a second, so some pictures last one longer."""
-    if not 0 < fps <= 50:
-        raise ValueError(f"{path}: {fps} frames per second; browsers play a GIF at 50 at most")
-    sample = np.concatenate(pictures[:: len(pictures) // 12 + 1])
-    key = Image.fromarray(sample).quantize(127, Image.Quantize.FASTOCTREE)
-    first, *others = (Image.fromarray(picture).quantize(palette=key, dither=Image.Dither.NONE) for picture in pictures)
-    lasts = 10 * np.diff(np.round(100 / fps * np.arange(len(pictures) + 1)).astype(int))
-    first.save(path, save_all=True, append_images=others, duration=lasts.tolist(), loop=0, optimize=True)
 
 
 def stage(
@@ -144,18 +127,17 @@ def _add(scene: Scene, motion: Motion, role, body: BodyModel | None, ghost: Moti
 def film(
     motions: Motion | Mapping[str, Motion], path: str | Path, *, roles: Mapping[str, str] | None = None,
     body: BodyModel | None = None, size: tuple[int, int] | None = None, fps: float | None = None, speed: float = 1.0,
-    most: int | None = None, progress: bool | None = None, **view,
+    most: int = 300, progress: bool | None = None, **view,
 ) -> Film:  # fmt: skip
-    """Writes motions side by side in sync, each under its label, as an MP4 or a GIF.
+    """Writes motions side by side in sync, each under its label, as an MP4.
 
     Args:
         motions: one, or label -> motion. A label that names a role has its colour, others are "ours";
             ``roles`` (label -> role) says otherwise.
         body: a ``BodyModel`` to show its skin instead of the mannequin.
-        size: of the whole picture; of an MP4 480 x 420 for each motion, of a GIF 480 x 360 for one motion, 320 x 340
-            for each of two, 240 x 320 for each of more.
-        fps: pictures per second; by default the motion's own rate, 30 at most, and 12.5 in a GIF. speed: times life.
-        most: pictures, 300 by default and 60 in a GIF; a longer motion plays faster, and the caption says by how much.
+        size: of the whole picture; by default 480 x 420 for each motion.
+        fps: pictures per second; by default the motion's own rate, 30 at most. speed: times life.
+        most: pictures; a longer motion plays faster, and the caption says by how much.
         progress: a bar; by default where somebody watches.
         view: ``things``, ``ghost``, and the eye's ``follow``, ``azimuth``, ``elevation``, as of :func:`stage`.
 
@@ -163,13 +145,9 @@ def film(
         ShapeError: no motions, a batch of them, or one without frames. KeyError: an unknown role.
     """
     shown, path = [motions] if isinstance(motions, Motion) else list(motions.values()), Path(path)
-    if path.suffix == ".mp4":
-        size, most = size or (480 * len(shown), 420), most or 300
-        fps = fps or min(30.0, max((m.fps for m in shown), default=30.0))
-    fps, most = fps or 12.5, most or 60
+    fps = fps or min(30.0, max((m.fps for m in shown), default=30.0))
     fine = 1 if viz.draft else _FINE  # a third faster than a scene that smooths its own edges
-    usual = {1: (480, 360), 2: (640, 340)}.get(len(shown), (240 * len(shown), 320))
-    width, height = (fine * n for n in size or usual)
+    width, height = (fine * n for n in size or (480 * len(shown), 420))
     scene, seconds = stage(motions, roles, body, (width, height), **view)
     scene.smooth(False)
     count = min(int(seconds / speed * fps + 1e-6) + 1, most)

@@ -21,7 +21,7 @@ from torch import Tensor
 from motionlab import viz
 from motionlab.body import BodyModel, lbs, tailored
 from motionlab.errors import ShapeError
-from motionlab.motion import Motion
+from motionlab.motion import Motion, single
 from motionlab.observation import Camera
 from motionlab.viz import mannequin, viewpoint
 from motionlab.viz.mannequin import Shadow, floor_tiles
@@ -76,26 +76,21 @@ class Scene(contextlib.AbstractContextManager):
         self._view |= {"follow": follow, "headroom": 0.11 if any(panels) else 0.02, "footroom": footroom}
         how = {"window_size": list(size), "border": False, "lighting": "none"}
         self.plotter = pv.Plotter(off_screen=True, shape=(1, len(panels)), **how)
-        if viz.draft or not fine:
-            self.plotter.render_window.SetMultiSamples(0)
         self._updates: list[Callable[[float], None]] = []
         self._figures: dict[int, tuple[list[Motion], int]] = {}  # panel -> motion of its last one, place in _seen
         self._eyes: dict[int, tuple] = {}  # panel -> where its eye was put and what it looks at
         self._hand: tuple[np.ndarray, np.ndarray] | None = None  # eye from what it looks at, and that from the subject
         self._seen: list[list[tuple[np.ndarray, float]]] = [[] for _ in panels]  # paths (T, M, 3) and their fps
-        self._gone: list[pv.CornerAnnotation] = []  # what a panel says whose people are all out of it
         self._left, self._framing, self._floor = None, None, False
         for index, label in enumerate(panels):
             plotter = self._panel(index)
             plotter.set_background(PAPER)
-            if fine and not viz.draft:
-                plotter.enable_anti_aliasing("ssaa", all_renderers=False)
+            plotter.enable_anti_aliasing("ssaa", all_renderers=False)
             mannequin.add_lights(plotter)
-            self._gone.append(mannequin.add_words(plotter, "left the picture", "lower_right", max(size[1] / 60, 6)))
-            self._gone[-1].SetVisibility(False)
             if label:
                 mannequin.add_words(plotter, label, "upper_edge", max(size[1] / 42, 7))
         self._smoothing = [renderer.GetPass() for renderer in self.plotter.renderers]
+        self.smooth(fine and not viz.draft)
 
     def _panel(self, panel: int) -> pv.Plotter:
         if not 0 <= panel < len(self.panels):
@@ -124,7 +119,7 @@ class Scene(contextlib.AbstractContextManager):
         frame: int | None = None, shadow: float = 0.42, framed: bool = True,
     ) -> Self:  # fmt: skip
         """Adds a figure with volume, its left side light and its right side dark; options as of :meth:`body`."""
-        figure = mannequin.build(mannequin.single(motion).skeleton, colour(role))
+        figure = mannequin.build(single(motion).skeleton, colour(role))
 
         def shape(now: Motion, index: int) -> np.ndarray:
             return figure.pose(*(mannequin.array(whole[index]) for whole in now.world))
@@ -133,17 +128,10 @@ class Scene(contextlib.AbstractContextManager):
         return self._surface(motion, shape, figure.faces, show, panel, frame, shadow, framed)
 
     def exchange(self, motion: Motion, *, panel: int = 0) -> Self:
-        """Puts another motion, of as many joints and frames, into a panel's last framed figure or body that moves.
-
-        Raises:
-            ShapeError: other joints, or more or fewer frames.
-        """
+        """Puts another motion, of the same joints, into a panel's last framed figure or body."""
         held, place = self._figures[panel]
-        was, now = (mannequin.array(m.positions) for m in (held[0], mannequin.single(motion)))
-        if was.shape != now.shape:
-            raise ShapeError(f"motion: expected places {was.shape} as of the figure, got {now.shape}")
-        held[0] = motion
-        self._seen[panel][place] = (now, motion.fps)
+        held[0] = single(motion)
+        self._seen[panel][place] = (mannequin.array(motion.positions), motion.fps)
         self._framing = None
         return self
 
@@ -163,18 +151,18 @@ class Scene(contextlib.AbstractContextManager):
         if field is not None:
             show = partial(mannequin.add_field, values=mannequin.array(field), title=title, limits=limits, cmap=cmap)
         faces = body.faces.cpu().numpy()
-        motion = mannequin.single(motion)
+        motion = single(motion)
         return self._surface(motion, partial(_skin, body), faces, show, panel, frame, shadow, framed, shown)
 
     def _surface(self, motion, shape, faces, show, panel, frame, shadow, framed, shown=None) -> Self:
-        if frame is not None and not -motion.frames <= frame < motion.frames:
-            raise IndexError(f"frame {frame}: the motion has {motion.frames}")
-        plotter, held = self._panel(panel), [motion]
-        first = 0 if frame is None else frame % motion.frames
-        drawn = (first, motion)
+        if frame is not None:
+            if not -motion.frames <= frame < motion.frames:
+                raise IndexError(f"frame {frame}: the motion has {motion.frames}")
+            motion = motion.cut(frame % motion.frames, frame % motion.frames + 1)
+        plotter, held, drawn = self._panel(panel), [motion], (0, motion)
         if self._left is None:
-            self._left = viewpoint.left_of(motion.cut(first, first + 1))
-        points = shape(motion, first)
+            self._left = viewpoint.left_of(motion)
+        points = shape(motion, 0)
         mesh = mannequin.surface(points, faces)
         shade = Shadow(plotter, points, faces, shadow) if shadow else None
         actors = [show(plotter, mesh), *([shade.actor] if shade else [])]
@@ -196,11 +184,10 @@ class Scene(contextlib.AbstractContextManager):
         if shown is not None and np.any(shown):  # where nobody is shown does not decide where the eye stands
             on = np.flatnonzero(shown)
             positions = positions[on[(np.searchsorted(on, np.arange(len(positions)), "right") - 1).clip(0)]]
-        if frame is None:
-            self._move(update)
-            if framed:
-                self._figures[panel] = (held, len(self._seen[panel]))
-        return self._watch(panel, positions if frame is None else positions[[first]], motion.fps) if framed else self
+        if framed:
+            self._figures[panel] = (held, len(self._seen[panel]))
+            self._watch(panel, positions, motion.fps)
+        return self._move(update)
 
     def mesh(self, vertices, faces, paint=LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0) -> Self:
         """Adds a mesh of vertices (V, 3), metres, and faces (F, 3) that stands still: a table."""
@@ -217,17 +204,13 @@ class Scene(contextlib.AbstractContextManager):
         self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, at[None])
 
-    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, shown=None, panel: int = 0) -> Self:
-        """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves.
-
-        ``shown`` (T,) says in which frames it is there; by default in all.
-        """
+    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, panel: int = 0) -> Self:
+        """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves;
+        where S is zero there is none."""
         size, axes = np.linalg.eigh(np.asarray(shapes, float))
         roots = axes * np.sqrt(np.maximum(size, 0.0))[:, None]
-        if shown is not None:
-            roots = roots * np.asarray(shown, float)[:, None, None]
-        at, ball = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
-        unit, mesh = np.array(ball.points), ball.copy()
+        at, mesh = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
+        unit = np.array(mesh.points)
         look = {"lighting": False, "reset_camera": False, "render": False}
         self._panel(panel).add_mesh(mesh, color=colour(role), opacity=0.4, **look)
 
@@ -238,19 +221,12 @@ class Scene(contextlib.AbstractContextManager):
         return self._move(update)
 
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Self:
-        """Adds the path of a joint: pale as a whole, strong up to now."""
-        path = mannequin.array(mannequin.single(motion).positions[:, motion.skeleton.index(joint)])
-        count, look = max(len(path), 2), {"render_lines_as_tubes": True, "ambient": 0.6, "diffuse": 0.4}
-        at = path[np.minimum(np.arange(count), len(path) - 1)]
-        for paint, width in ((blend(colour(role), PAPER, 0.6), 2), (colour(role), 5)):
-            line = pv.PolyData(at.copy(), lines=[count, *range(count)])
-            self._panel(panel).add_mesh(line, color=paint, line_width=width, reset_camera=False, **look)
-
-        def update(seconds: float) -> None:
-            now = int(np.clip(round(seconds * motion.fps), 0, len(path) - 1))
-            line.points = path[np.minimum(np.arange(count), now)]
-
-        return self._move(update)._watch(panel, path[:, None], motion.fps)
+        """Adds the whole path of a joint."""
+        path = mannequin.array(single(motion).positions[:, motion.skeleton.index(joint)])
+        line = pv.PolyData(path, lines=[len(path), *range(len(path))])
+        look = {"line_width": 5, "render_lines_as_tubes": True, "ambient": 0.6, "diffuse": 0.4}
+        self._panel(panel).add_mesh(line, color=colour(role), reset_camera=False, **look)
+        return self._watch(panel, path[:, None], motion.fps)
 
     def caption(self) -> Callable[[str], None]:
         """Adds a line of text in the lower left corner; returns the function that sets it."""
@@ -279,10 +255,6 @@ class Scene(contextlib.AbstractContextManager):
                 self._panel(panel).add_mesh(tiles, name=f"floor {panel}", **look)
         if fresh or turned or self._view["follow"]:
             self._aim()
-        for seen, words, renderer in zip(self._seen, self._gone, self.plotter.renderers, strict=True):
-            moving = [path[min(round(self.seconds * fps), len(path) - 1)] for path, fps in seen if len(path) > 1]
-            gone = moving and not self.camera and not self._framing.sees(renderer.camera, np.concatenate(moving))
-            words.SetVisibility(bool(gone))
         return self
 
     def _aim(self) -> None:
@@ -308,11 +280,9 @@ class Scene(contextlib.AbstractContextManager):
                 return True
         return False
 
-    def turn(self, degrees: float = 0.0, *, away: float = 1.0) -> Self:
-        """Turns all eyes around the subject, to the right as seen from above, and moves them so many times as far."""
-        eye = self.plotter.renderers[0].camera
-        eye.Azimuth(degrees)
-        eye.position = np.add(eye.focal_point, away * np.subtract(eye.position, eye.focal_point))
+    def turn(self, degrees: float) -> Self:
+        """Turns all eyes around the subject, to the right as seen from above."""
+        self.plotter.renderers[0].camera.Azimuth(degrees)
         return self
 
     def smooth(self, yes: bool) -> None:

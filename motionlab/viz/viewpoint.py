@@ -59,13 +59,6 @@ class Framing:
         offset[2] = max(offset[2], _NEAR - self.target(panel, seconds)[2] - shift[2])
         return offset, shift
 
-    def sees(self, eye: pv.Camera, points: np.ndarray) -> bool:
-        """Says whether any of the points (N, 3) lies in the picture of an eye."""
-        planes = np.zeros(24)
-        eye.GetFrustumPlanes(self.aspect, planes)
-        inward, offset = planes.reshape(6, 4)[:, :3], planes[3::4]
-        return bool((points @ inward.T + offset > 0).all(1).any())
-
 
 def choose_framing(
     seen: list[list[tuple[np.ndarray, float]]], *, aspect: float, azimuth: float | None, elevation: float,
@@ -186,7 +179,6 @@ def match_camera(eye: pv.Camera, camera: Camera) -> None:
     k, r, centre = array(camera.intrinsics), array(camera.rotation), array(camera.centre)
     w, h = camera.width, camera.height
     eye.position, eye.focal_point, eye.up = centre, centre + r[2], -r[1]
-    eye.view_angle = float(np.degrees(2 * np.arctan(h / 2 / k[1, 1])))
     projection = [  # columns: VTK's camera axes, x right, y up, z backward
         [2 * k[0, 0] / w, -2 * k[0, 1] / w, 1 - 2 * k[0, 2] / w, 0],
         [0, 2 * k[1, 1] / h, 2 * k[1, 2] / h - 1, 0],

@@ -45,8 +45,8 @@ def staged(
     centre, shape = draws.places(level)
     for name in AROUND:
         joint = draws.fit.skeleton.index(name)
-        hidden = draws.hidden[:, joint].tolist()
-        scene.ellipsoid(centre[:, joint], shape[:, joint], draws.fit.fps, REGION, shown=hidden, panel=last)
+        hidden = shape[:, joint] * draws.hidden[:, joint, None, None]
+        scene.ellipsoid(centre[:, joint], hidden, draws.fit.fps, REGION, panel=last)
     for panel in range(len(panels)):
         for vertices, faces in things:
             scene.mesh(vertices[0].numpy(), faces.numpy(), "#b9a88f", opacity=0.3, framed=False, panel=panel)
