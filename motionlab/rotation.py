@@ -241,19 +241,27 @@ def unroll_axis_angle(aa: Tensor, dim: int = -2) -> Tensor:
 
     The first frame stays. No choice is continuous everywhere: when a path that has left the ball of radius pi passes
     near the zero rotation, its axis may swing round in one frame and the vector jump with it. A zero rotation (to
-    rounding) takes the axis of the frame before.
+    rounding) takes the axis of the frame before. A cumulative sum unwraps the angles along a sign-continuous axis, then
+    k is corrected until no frame has a nearer choice.
     """
     check_shape(aa, "... 3", "axis_angle")
     x = aa.movedim(dim, 0)
-    angles = torch.linalg.vector_norm(x, dim=-1, keepdim=True)
-    known = angles > 8 * torch.finfo(x.dtype).eps
-    axes = torch.where(known, x / torch.where(known, angles, 1.0), 0.0)
-    unrolled = [*x[:1]]
-    for angle, axis, has_axis in zip(angles[1:], axes[1:], known[1:], strict=True):
-        axis = torch.where(has_axis, axis, torch.nn.functional.normalize(unrolled[-1], dim=-1))
-        turns = (((axis * unrolled[-1]).sum(-1, keepdim=True) - angle) / math.tau).round()
-        unrolled.append(axis * (angle + math.tau * turns))
-    return torch.stack(unrolled).movedim(0, dim).contiguous() if unrolled else aa
+    angle = torch.linalg.vector_norm(x, dim=-1, keepdim=True)
+    known = angle > 8 * torch.finfo(x.dtype).eps
+    unit = torch.where(known, x / torch.where(known, angle, 1.0), 0.0)
+    sign = torch.where((unit[1:] * unit[:-1]).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(x).cumprod(0)
+    jump = torch.diff(sign * angle[1:], dim=0, prepend=angle[:1]) / math.tau
+    signed = angle[1:] - sign * math.tau * jump.round().cumsum(0)
+    unrolled = torch.cat((x[:1], unit[1:] * signed))
+    for _ in range(len(x)):
+        before = unrolled[:-1]
+        axis = torch.where(known[1:], unit[1:], torch.nn.functional.normalize(before, dim=-1))
+        turns = (((axis * before).sum(-1, keepdim=True) - angle[1:]) / math.tau).round()
+        update = torch.cat((x[:1], axis * (angle[1:] + math.tau * turns)))
+        if torch.equal(update, unrolled):
+            break
+        unrolled = update
+    return unrolled.movedim(0, dim).contiguous()
 
 
 def _series(coefficients: list[float], x: Tensor) -> Tensor:

@@ -368,6 +368,16 @@ def test_unroll_keeps_short_and_still_sequences():
     assert torch.equal(rotation.unroll_axis_angle(torch.zeros(5, 3)), torch.zeros(5, 3))
 
 
+def test_unroll_through_the_zero_rotation_goes_straight():
+    """From +a to -a about one axis: no turn may be added; starting one turn up, it stays one turn up."""
+    swing = torch.linspace(1, -1, 21, dtype=F64)[:, None] * torch.tensor([0.0, 0.6, 0.8], dtype=F64)
+    torch.testing.assert_close(rotation.unroll_axis_angle(swing), swing)
+    up = swing[:1] * (1 + math.tau)
+    torch.testing.assert_close(
+        rotation.unroll_axis_angle(torch.cat((up, swing[1:]))), swing + up - swing[:1], atol=1e-12, rtol=0
+    )
+
+
 def test_unroll_quaternion_follows_a_spin(generator):
     q = rotation.matrix_to_quaternion(spin(3, 200, generator))
     flipped = q * torch.where(torch.rand(200, 1, generator=generator) < 0.5, -1.0, 1.0)
