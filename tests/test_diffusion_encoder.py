@@ -3,13 +3,13 @@
 import json
 from copy import deepcopy
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 import torch
 
 from data_synth.corpus import Recipe as Corpus
 from data_synth.corpus import perform_sequence
-from motionlab import splits
 from motionlab.diffusion import encoder
 from motionlab.diffusion.windows import gather, on_standard
 from motionlab.errors import DataError, ShapeError
@@ -133,8 +133,8 @@ def test_it_trains_on_the_people_who_train(motions, tmp_path, monkeypatch):
         asked.append((windows.digest, held))
         return train_encoder(windows, recipe, held, **how)
 
-    found = recipes.RealMotions({splits.RECORDED: motions[:1]}, {"validation people": motions[1:]}, {})
-    monkeypatch.setattr(recipes, "real_motions", lambda folder: found)
+    taken = {"train": [Mock(motion=motions[0])], "val": [Mock(motion=motions[1])]}
+    monkeypatch.setattr(recipes, "sources", lambda folder: (Mock(part=taken.get), []))
     monkeypatch.setattr(feature_training, "train_encoder", trained)
     feature_training.make_encoder("x", tmp_path / "f", replace(TINY, frames=60, steps=3, seed=2))
     about = json.loads((tmp_path / "f.json").read_text())

@@ -37,7 +37,7 @@ class Fit(TrainingRun):
         optimiser = torch.optim.Adam(model.parameters(), lr=recipe.lr)
         super().__init__(recipe, data.digest, torch.Generator().manual_seed(3), model, optimiser)
 
-    reads = staticmethod(lambda content: Recipe(**content))
+    Recipe = Recipe
 
     def _rate(self):
         return self.recipe.lr * (1 - self.step / self.recipe.steps)

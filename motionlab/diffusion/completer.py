@@ -16,7 +16,6 @@ al. 2017; Xiong et al. 2020).
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -70,11 +69,6 @@ class CompleterRecipe:
     decay: float = 0.01
     average: float = 0.999
     seed: int = 0
-
-    @classmethod
-    def read(cls, content: dict) -> Self:
-        """Reads a recipe from ``asdict``, as JSON gives it back."""
-        return cls(**content | {"kinds": tuple((name, odds) for name, odds in content["kinds"])})
 
 
 class Completer(nn.Module):
@@ -284,4 +278,4 @@ def load(path: Path | str) -> Completer:
     path = path if Path(path).with_suffix(".safetensors").exists() else checkpoint.shipped(path)
     tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "completes no motions"):
-        return checkpoint.frozen(lambda: Completer(CompleterRecipe.read(about["recipe"])), tensors)
+        return checkpoint.frozen(lambda: Completer(CompleterRecipe(**about["recipe"])), tensors)

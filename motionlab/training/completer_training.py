@@ -31,8 +31,7 @@ _EVERY = torch.ones(features.UNITS, dtype=torch.bool)
 class CompleterTraining(TrainingRun):
     """A training run of a completer. start: the model to begin from, with its sizes of numbers; None: new weights."""
 
-    give_up = 20
-    reads = CompleterRecipe.read
+    Recipe = CompleterRecipe
 
     def __init__(self, recipe: CompleterRecipe, windows: Windows, start: Completer | None = None) -> None:
         self.windows = windows

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from data_synth import corpus as synthetic
-from motionlab import checkpoint
+from motionlab import checkpoint, splits
 from motionlab.diffusion import encoder
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import ShapeError
@@ -26,16 +26,15 @@ def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRe
 
     folder: of recordings. Trained on the training people, watched on validation people.
     """
-    train, val = recipes.real_motions(folder)[:2]
-    windows, held = (
-        gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, val)
-    )
-    held = held.evenly(256)
+    found, made = recipes.sources(folder)
+    train, val = ([take.motion for take in found.part(part)] for part in ("train", "val"))
+    windows, held = (gather([*map(on_standard, some)], recipe.frames) for some in (train + made, val))
+    held, minutes = held.evenly(256), {splits.RECORDED: train, splits.SYNTHETIC: made}
     features, curve = train_encoder(windows, recipe, held, progress=True)
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
         "command": f"python -m studies.shared.feature_training FOLDER --steps {recipe.steps} --seed {recipe.seed}",
-        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
+        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in minutes.items()},
         "corpus": asdict(synthetic.Recipe()), "windows": windows.digest, "torch": torch.__version__,
         "share of variance missed, held out": {k: round(v, 4) for k, v in features.reconstruction_error(held).items()},
         "curve": curve,
