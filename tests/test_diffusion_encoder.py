@@ -101,13 +101,13 @@ def test_what_is_missed_is_all_of_it_for_a_network_that_says_the_mean(some):
     with torch.no_grad():
         features.network["decoder"][-1].weight.zero_()
         features.network["decoder"][-1].bias.copy_(encoder.signals(some).mean((0, 1)))
-    assert set(features.reconstruction_error(some)) == set(encoder.FEATURE_GROUPS)
-    assert all(abs(share - 1) < 1e-3 for share in features.reconstruction_error(some).values())
+    assert set(feature_training.share_missed(features, some)) == set(encoder.FEATURE_GROUPS)
+    assert all(abs(share - 1) < 1e-3 for share in feature_training.share_missed(features, some).values())
 
 
 def test_kept_features_are_the_same_bit_for_bit(trained, some, tmp_path):
     features, _ = trained
-    encoder.save_encoder(tmp_path / "f", features, {"what": "a test"})
+    feature_training.save_encoder(tmp_path / "f", features, {"what": "a test"})
     found = encoder.motion_encoder(tmp_path / "f")
     assert torch.equal(found(some), features(some))
     assert found.recipe == TINY
@@ -120,7 +120,7 @@ def test_files_of_something_else_are_refused(trained, tmp_path):
         encoder.motion_encoder(tmp_path / "none")
     other = deepcopy(features)
     other.recipe = replace(TINY, size=5)
-    encoder.save_encoder(tmp_path / "f", other, {})
+    feature_training.save_encoder(tmp_path / "f", other, {})
     with pytest.raises(DataError, match="not a feature autoencoder"):
         encoder.motion_encoder(tmp_path / "f")
 

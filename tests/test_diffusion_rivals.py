@@ -10,7 +10,6 @@ from data_synth.corpus import perform_sequence
 from motionlab import bench, rotation
 from motionlab.bench import Rivals
 from motionlab.diffusion.windows import gather, on_standard
-from motionlab.errors import ShapeError
 from motionlab.skeleton import STANDARD
 
 FRAMES = 16
@@ -101,8 +100,3 @@ def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way
     again = getattr(fitted, way)(spoilt, known)
     assert torch.allclose(again.positions, made.positions, atol=1e-5)
     assert (made.positions - truth.positions).norm(dim=-1).max() > 0.01  # it did have to guess
-
-
-def test_a_window_may_not_be_told_of_another_ones_mask(takes, fitted):
-    with pytest.raises(ShapeError, match="known"):
-        fitted.nearest(takes[1], bench.legs(5, FRAMES))

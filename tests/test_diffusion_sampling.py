@@ -131,5 +131,3 @@ def test_tables_and_spacings_that_are_none(thousand):
         NoiseSchedule(torch.tensor([0.5, 0.6]), torch.arange(2))
     with pytest.raises(ShapeError):
         NoiseSchedule(torch.tensor([0.6, 0.5]), torch.arange(3))
-    with pytest.raises(ValueError, match="steps"):
-        cosine(0)

@@ -82,8 +82,6 @@ class Completer(nn.Module):
 
     def __init__(self, recipe: CompleterRecipe) -> None:
         super().__init__()
-        if recipe.frames % recipe.patch:
-            raise ValueError(f"{recipe.frames} frames do not divide into tokens of {recipe.patch}")
         self.recipe, size = recipe, recipe.size
         self.taken = nn.Linear((SIZE + UNITS + _TIMES) * recipe.patch, size)
         if recipe.diffusion:
@@ -196,11 +194,9 @@ class Completer(nn.Module):
         parts = []
         for at in torch.arange(len(motion.root)).split(batch):
             some = local.clip(at), known[at]
-            if generator is not None:
-                parts.append(self._drawn(*some, generator, steps))
-                continue
             size = None if tremble is None else torch.full((len(at),), tremble).to(local.root)
-            parts.append(self.filled(*some, tremble=size))
+            made = self._drawn(*some, generator, steps) if generator else self.filled(*some, tremble=size)
+            parts.append(made)
         root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
         contacts = torch.where(known[..., -1:], motion.contacts, world.contacts)
@@ -264,8 +260,7 @@ def time_to_known(known: Tensor, fps: float) -> Tensor:
 
 def save(path: Path | str, model: Completer, about: dict) -> None:
     """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json), with ``about`` beside it."""
-    tensors = {n: x if n in ("mean", "scale") else x.half() for n, x in model.state_dict().items()}
-    checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
+    checkpoint.save(path, model.state_dict(), about | {"recipe": asdict(model.recipe)}, exact=("mean", "scale"))
 
 
 def load(path: Path | str) -> Completer:

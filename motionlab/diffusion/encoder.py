@@ -7,9 +7,8 @@ Source: FID's features are those of a trained network (Heusel et al. 2017; for m
 Differs: an autoencoder, as there are no labels; root and feet count as much as all other joints together.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import ClassVar
 
 import torch
@@ -81,8 +80,6 @@ class MotionEncoder(nn.Module):
 
     def __init__(self, recipe: EncoderRecipe) -> None:
         super().__init__()
-        if recipe.frames % 4:
-            raise ShapeError(f"frames: expected a multiple of 4, got {recipe.frames}")
         self.recipe, numbers, width, short = recipe, sum(FEATURE_GROUPS.values()), recipe.width, recipe.frames // 4
         encoder = nn.Sequential(
             nn.Conv1d(numbers, width, 5, 2, 2), nn.GELU(), nn.Conv1d(width, width, 5, 2, 2), nn.GELU(),
@@ -111,21 +108,6 @@ class MotionEncoder(nn.Module):
         """Computes normalised signals (N, T, 94) of windows, and squares of what the latent numbers miss of them."""
         x = (signals(motion) - self.mean) / self.scale
         return x, (self.network["decoder"](self.network["encoder"](x.mT)).mT - x).square()
-
-    @torch.no_grad()
-    def reconstruction_error(self, motion: Motion) -> dict[str, float]:
-        """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
-        x, wrong = self.missed(motion)
-        total = (x - x.mean((0, 1))).square()
-        groups = (each.split(list(FEATURE_GROUPS.values()), -1) for each in (wrong, total))
-        parts = zip(FEATURE_GROUPS, *groups, strict=True)
-        return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
-
-
-def save_encoder(path: Path | str, features: MotionEncoder, about: dict) -> None:
-    """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
-    tensors = {n: x.half() if n.startswith("network.") else x for n, x in features.state_dict().items()}
-    checkpoint.save(path, tensors, about | {"recipe": asdict(features.recipe)})
 
 
 @cache

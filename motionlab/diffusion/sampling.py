@@ -114,8 +114,6 @@ def cosine(steps: int = 1000, *, power: float = 2.0) -> NoiseSchedule:
     Source: Nichol and Dhariwal 2021, Eq. 17. Differs from the thesis, which prints the cosine without its square
     (``power=1``): then half of the signal's amplitude is left where it should be a quarter, and noise never wins.
     """
-    if steps < 1:
-        raise ValueError(f"steps: expected 1 or more, got {steps}")
     u = torch.arange(steps + 1, dtype=torch.float64) / steps
     f = ((u + 0.008) / (1 + 0.008) * (math.pi / 2)).cos().clamp(min=0) ** power
     beta = (1 - f[1:] / f[:-1]).clamp(max=MOST)

@@ -204,9 +204,7 @@ class PriorCourse(Course):
 
     def save(self, out: Path, model: Cvae, about: dict) -> None:
         """Weights as float16, but those of linear layers that begin as something exact."""
-        tensors = official_weights(model).items()
-        exact = ("skip", "direct")
-        checkpoint.save(out, {n: x if n.startswith(exact) else x.half() for n, x in tensors}, about)
+        checkpoint.save(out, official_weights(model), about, exact=("skip", "direct"))
 
     def measured(self, model: Cvae) -> dict[str, float]:
         """``quality_row`` on either body, a mean over people, and first the mean of what was asked over ``ASKED``."""

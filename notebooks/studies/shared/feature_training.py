@@ -36,10 +36,25 @@ def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRe
         "command": f"python -m studies.shared.feature_training FOLDER --steps {recipe.steps} --seed {recipe.seed}",
         "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in minutes.items()},
         "corpus": asdict(synthetic.Recipe()), "windows": windows.digest, "torch": torch.__version__,
-        "share of variance missed, held out": {k: round(v, 4) for k, v in features.reconstruction_error(held).items()},
+        "share of variance missed, held out": {k: round(v, 4) for k, v in share_missed(features, held).items()},
         "curve": curve,
     }  # fmt: skip
-    encoder.save_encoder(out, features, about)
+    save_encoder(out, features, about)
+
+
+def save_encoder(path: Path, features: encoder.MotionEncoder, about: dict) -> None:
+    """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
+    recipe, exact = asdict(features.recipe), ("mean", "scale", "centre", "spread")
+    checkpoint.save(path, features.state_dict(), about | {"recipe": recipe}, exact)
+
+
+@torch.no_grad()
+def share_missed(features: encoder.MotionEncoder, motion: Motion) -> dict[str, float]:
+    """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
+    x, wrong = features.missed(motion)
+    groups = (each.split(list(encoder.FEATURE_GROUPS.values()), -1) for each in (wrong, (x - x.mean((0, 1))).square()))
+    parts = zip(encoder.FEATURE_GROUPS, *groups, strict=True)
+    return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
 
 
 class _EncoderRun(TrainingRun):
@@ -68,7 +83,7 @@ def train_encoder(
     """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
     if windows.length != recipe.frames:
         raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
-    every, judge = max(1, recipe.steps // 20), None if held is None else lambda x: x.reconstruction_error(held)
+    every, judge = max(1, recipe.steps // 20), None if held is None else lambda x: share_missed(x, held)
     run = _EncoderRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
     made = run.averaged
     made.network.half().float()  # its weights as they are stored
