@@ -153,12 +153,11 @@ def judged(
     known = case.mask(len(motion.root))
     told = known if show_missing else known & ~lacks
     made = [restore_known(fill(motion, told), motion, known | lacks) for _ in range(draws)]
-    rows = {
-        "cm": [error_cm(m, motion, known, case.joints) for m in made],
-        "slide": [slide_mm(m, motion) for m in made],
-        "acceleration": [acceleration_ratio(m, motion) for m in made],
+    found = {
+        "cm": torch.stack([error_cm(m, motion, known, case.joints) for m in made]).mean(0),
+        "slide": torch.stack([slide_mm(m, motion) for m in made]).mean(0),
+        "acceleration": torch.stack([acceleration_ratio(m, motion) for m in made]).mean(0),
     }
-    found = {name: torch.stack(each).mean(0) for name, each in rows.items()}
     if draws > 1:
         found["score"] = energy_score(made, motion, known, case.joints)
         found["spread"] = 2 * (found["cm"] - found["score"])

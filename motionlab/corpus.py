@@ -16,7 +16,7 @@ import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -100,10 +100,8 @@ class Corpus:
         lines = []
         for row in self.rows:
             lost = ", ".join(f"{name} {s / 60:.1f}" for name, s in sorted(row.cut.items(), key=lambda x: -x[1]))
-            lines.append(
-                f"{row.source}: {row.recordings} recordings, {row.seconds / 60:.1f} min, kept {row.kept / 60:.1f}"
-                + (f"; cut, min: {lost}" if lost else "")
-            )
+            line = f"{row.source}: {row.recordings} recordings, {row.seconds / 60:.1f} min, kept {row.kept / 60:.1f}"
+            lines.append(f"{line}; cut, min: {lost}" if lost else line)
             reasons = Counter(row.refused.values())
             lines += [f"  refused {n}: {reason}" for reason, n in reasons.most_common(5)]
             lines += [f"    {name}" for name in list(row.refused)[:5]]
@@ -182,14 +180,9 @@ def _key(folder: Path, files: Sequence[Path], reading: object) -> str:
     for path in (*files, *beside):
         state = path.stat()
         whole.update(repr((str(path.relative_to(folder)), state.st_size, state.st_mtime_ns)).encode())
-    whole.update(_code().encode())
+    for name in _READERS:
+        whole.update(source_hash((Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8")).encode())
     return whole.hexdigest()[:16]
-
-
-@cache
-def _code() -> str:
-    """Hashes of the code that reads."""
-    return " ".join(source_hash((Path(__file__).parent / f"{n}.py").read_text(encoding="utf-8")) for n in _READERS)
 
 
 def _prepared(

@@ -111,7 +111,6 @@ def test_kept_features_are_the_same_bit_for_bit(trained, some, tmp_path):
     found = encoder.motion_encoder(tmp_path / "f")
     assert torch.equal(found(some), features(some))
     assert found.recipe == TINY
-    assert json.loads((tmp_path / "f.json").read_text())["sha256"].startswith(found.digest) and len(found.digest) == 12
 
 
 def test_files_of_something_else_are_refused(trained, tmp_path):

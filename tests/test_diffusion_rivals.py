@@ -76,16 +76,12 @@ def test_the_second_nearest_is_of_another_clip(takes, fitted):
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("case", ["legs", "every_frame", "whole_window", "gap", "keys"])
-def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way, case, generator):
+@pytest.mark.parametrize(
+    ("case", "how"), [("legs", ()), ("every_frame", (0.5,)), ("whole_window", (0.5,)), ("gap", (6,)), ("keys", (7,))]
+)
+def test_what_is_known_stays_and_what_is_hidden_is_never_read(takes, fitted, way, case, how, generator):
     truth, count = takes[1], len(takes[1].root)
-    known = {
-        "legs": lambda: bench.legs(count, FRAMES),
-        "every_frame": lambda: bench.every_frame(count, FRAMES, 0.5, generator),
-        "whole_window": lambda: bench.whole_window(count, FRAMES, 0.5, generator),
-        "gap": lambda: bench.gap(count, FRAMES, 6),
-        "keys": lambda: bench.keys(count, FRAMES, 7),
-    }[case]()
+    known = getattr(bench, case)(count, FRAMES, *how, *([generator] if 0.5 in how else []))
     made = getattr(fitted, way)(truth, known)
     joints, place = known[..., : bench.JOINTS], known[..., bench.JOINTS]
     assert torch.equal(made.rot[joints], truth.rot[joints]) and torch.equal(made.root[place], truth.root[place])

@@ -181,11 +181,8 @@ class Completer(nn.Module):
             ShapeError: windows of another length. ValueError: draws from a model without noise; one that ``refines``
                 and is not told how much joints trembled, or another one that is.
         """
-        if generator is not None and not self.recipe.diffusion:
-            raise ValueError("this model has one answer and draws none")
-        if self.recipe.refines != (tremble is not None):
-            told = "expected a size" if self.recipe.refines else "only a model that refines is told of it"
-            raise ValueError(f"tremble: {told}")
+        if (generator is not None and not self.recipe.diffusion) or self.recipe.refines != (tremble is not None):
+            raise ValueError("generator: of a model by diffusion alone; tremble: of one that refines, and of no other")
         if motion.contacts is None:
             none = motion.root.new_zeros(*motion.root.shape[:-1], len(STANDARD.contact_names))
             motion, known = replace(motion, contacts=none), known.clone()
@@ -195,8 +192,7 @@ class Completer(nn.Module):
         for at in torch.arange(len(motion.root)).split(batch):
             some = local.clip(at), known[at]
             size = None if tremble is None else torch.full((len(at),), tremble).to(local.root)
-            made = self._drawn(*some, generator, steps) if generator else self.filled(*some, tremble=size)
-            parts.append(made)
+            parts.append(self._drawn(*some, generator, steps) if generator else self.filled(*some, tremble=size))
         root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
         contacts = torch.where(known[..., -1:], motion.contacts, world.contacts)

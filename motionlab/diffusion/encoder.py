@@ -73,10 +73,7 @@ class MotionEncoder(nn.Module):
     size), about unit size on training motion.
 
     mean (94,), scale (94,): of the signals, one scale per group. centre (size,), spread (size,): of the latent numbers.
-    digest: of the checkpoint; it stands beside every table, as numbers in other features do not compare.
     """
-
-    digest = ""
 
     def __init__(self, recipe: EncoderRecipe) -> None:
         super().__init__()
@@ -104,11 +101,6 @@ class MotionEncoder(nn.Module):
         latent = torch.cat([self.network["encoder"](((signals(x) - self.mean) / self.scale).mT) for x in parts])
         return ((latent - self.centre) / self.spread).double()
 
-    def missed(self, motion: Motion) -> tuple[Tensor, Tensor]:
-        """Computes normalised signals (N, T, 94) of windows, and squares of what the latent numbers miss of them."""
-        x = (signals(motion) - self.mean) / self.scale
-        return x, (self.network["decoder"](self.network["encoder"](x.mT)).mT - x).square()
-
 
 @cache
 def motion_encoder(name: str = "features_real") -> MotionEncoder:
@@ -120,6 +112,4 @@ def motion_encoder(name: str = "features_real") -> MotionEncoder:
     path = checkpoint.shipped(name).with_suffix(".safetensors")
     tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "not a feature autoencoder"):
-        features = checkpoint.frozen(lambda: MotionEncoder(EncoderRecipe(**about["recipe"])), tensors)
-    features.digest = about["sha256"][:12]
-    return features
+        return checkpoint.frozen(lambda: MotionEncoder(EncoderRecipe(**about["recipe"])), tensors)

@@ -119,8 +119,6 @@ def gather(
         DataError: no motion is that long; frame rates differ; some have contacts and some not; numbers are not finite.
         ShapeError: a motion is not on the 22 joints, or has batch axes.
     """
-    if length < 1:
-        raise ValueError(f"length: expected 1 frame or more, got {length}")
     every = zip(motions, missing or [()] * len(motions), people or [""] * len(motions), strict=True)
     long = [row for row in every if row[0].frames >= length]
     if not long:
@@ -130,12 +128,11 @@ def gather(
         if m.skeleton.names != STANDARD.names or m.rot.ndim != 4:
             raise ShapeError(f"{m.name or 'motion'}: expected one clip on the 22 joints; retarget first")
         if m.fps != used[0].fps or (m.contacts is None) != (used[0].contacts is None):
-            message, remedy = "another frame rate than the first's, or only one of them has contacts", "make them alike"
-            raise DataError(message, place=m.name, remedy=f"{remedy}: motion.resample, contact.with_contacts")
+            remedy = "motion.resample, contact.with_contacts"
+            raise DataError("another frame rate than the first, or only one has contacts", place=m.name, remedy=remedy)
         if not (m.root.isfinite().all() and m.rot.isfinite().all()):
             raise DataError("numbers that are not finite", place=m.name, remedy="leave this motion out")
-    seen = torch.tensor([[name not in names for name in STANDARD.names] for names in lacks]) if any(lacks) else None
-    seen = None if seen is None else seen & seen[:, STANDARD.mirror_indices]
+    seen = torch.tensor([[name not in names for name in STANDARD.names] for names in lacks])
     numbers = {name: k for k, name in enumerate(dict.fromkeys(whose))}
     counts = torch.tensor([m.frames for m in used])
     starts = counts.cumsum(0) - counts
@@ -149,7 +146,7 @@ def gather(
         length=length,
         fps=used[0].fps,
         mirrored=mirrored,
-        seen=seen,
+        seen=seen & seen[:, STANDARD.mirror_indices] if any(lacks) else None,
         people=None if people is None else torch.tensor([numbers[name] for name in whose]),
     )
 

@@ -40,7 +40,6 @@ from motionlab.training.quality import quality_row
 from motionlab.training.training_loop import TrainingRun, fast_halves
 
 _EACH = 12  # windows of each validation person
-LEGS_AND_GAPS = "legs and gaps, cm"  # the mean of the first three cases: error, or energy score of draws
 _JUDGED_BY = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
 _DRAWS = 3
 _NOISES = ((1.0, 0.5), (2.0, 1.0), (5.0, 2.0))  # degrees of joints, centimetres of the root
@@ -144,7 +143,7 @@ class CompleterCourse(Course):
             found["acceleration over the truth's"] = each["acceleration"]
             row |= {f"{name}, {what}": float(x.mean()) for what, x in found.items()}
         aims = [x for name, x in row.items() if name.startswith(_JUDGED_BY) and name.endswith(", cm")]
-        return {LEGS_AND_GAPS: sum(aims) / len(aims)} | row
+        return {"legs and gaps, cm": sum(aims) / len(aims)} | row
 
 
 def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:

@@ -33,8 +33,7 @@ class DenoiserTraining(TrainingRun):
 
     def __init__(self, recipe: DenoiserRecipe, windows: Windows, start: MotionDiffusion | None = None) -> None:
         if windows.length != recipe.frames or windows.fps != FPS:
-            message = f"windows of {windows.length} frames at {windows.fps:g} fps; expected {recipe.frames} at {FPS:g}"
-            raise DataError(message, remedy="gather windows of the recipe's length from motions at 30 fps")
+            raise DataError(f"windows of {windows.length} frames at {windows.fps:g} fps: not {recipe.frames} at 30")
         self.windows, self.layout, self.schedule, self.clip = windows, recipe.layout, recipe.schedule, recipe.clip
         model = seeded(recipe.seed, recipe.denoiser)
         if start is None:

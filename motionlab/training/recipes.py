@@ -17,6 +17,7 @@ from torch import Tensor
 
 from data_synth import corpus as synthetic
 from motionlab import checkpoint, corpus, rotation, splits
+from motionlab.diffusion.windows import LEGS
 from motionlab.errors import DataError, check_shape
 from motionlab.humor import priors, state
 from motionlab.humor.priors import Gaussian, InitGmm, PosePrior, kl
@@ -35,14 +36,8 @@ _SHARE = 0.2
 _FLIP = torch.tensor([-1.0, 1.0, 1.0])
 _PARTNER = [j - 1 for j in STANDARD.mirror_indices[1:]]
 #: Joints of the legs and of either arm, among the 21: these move on their own.
-_LIMBS = [
-    [j for j, name in enumerate(STANDARD.names[1:]) if any(part in name for part in parts)]
-    for parts in (
-        ("hip", "knee", "ankle", "foot"),
-        ("left_collar", "left_shoulder", "left_elbow", "left_wrist"),
-        ("right_collar", "right_shoulder", "right_elbow", "right_wrist"),
-    )
-]
+_ARMS = [tuple(f"{side}_{part}" for part in ("collar", "shoulder", "elbow", "wrist")) for side in ("left", "right")]
+_LIMBS = [[j for j, name in enumerate(STANDARD.names[1:]) if name.endswith(limb)] for limb in (LEGS, *_ARMS)]
 _COMMAND = "python -m motionlab train small --data FOLDER"
 
 
@@ -68,9 +63,8 @@ def _first_states(motions: Sequence[Motion], every: int, generator: torch.Genera
     motions and of other bodies."""
     found = []
     for motion in motions:
-        some = [motion]
-        if generator is not None:
-            some = [motion, mirror(motion), random_body(motion, generator), random_body(mirror(motion), generator)]
+        some = [motion] if generator is None else [motion, mirror(motion)]
+        some += [] if generator is None else [random_body(each, generator) for each in some]
         for each in some:
             world = state.from_motion(each, causal=True)[::every]
             found.append(priors.first_state_features(state.localise(world, state.heading(world))).float())
@@ -211,9 +205,7 @@ def fit_mixture(
     """
     check_shape(features, "N D", "features")
     if len(features) <= features.shape[1] or not features.isfinite().all():
-        raise DataError(
-            f"{len(features)} samples of {features.shape[1]} features", remedy="give more frames, all of them finite"
-        )
+        raise DataError(f"{len(features)} samples of {features.shape[1]} features", remedy="give more finite frames")
     x = features.double()
     share = torch.nn.functional.one_hot(_clusters(x, components, generator), components).double()
     history: list[float] = []

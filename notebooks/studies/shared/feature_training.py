@@ -48,10 +48,16 @@ def save_encoder(path: Path, features: encoder.MotionEncoder, about: dict) -> No
     checkpoint.save(path, features.state_dict(), about | {"recipe": recipe}, exact)
 
 
+def _missed(features: encoder.MotionEncoder, motion: Motion) -> tuple[Tensor, Tensor]:
+    """Normalised signals (N, T, 94) of windows, and squares of what the latent numbers miss of them."""
+    x = (encoder.signals(motion) - features.mean) / features.scale
+    return x, (features.network["decoder"](features.network["encoder"](x.mT)).mT - x).square()
+
+
 @torch.no_grad()
 def share_missed(features: encoder.MotionEncoder, motion: Motion) -> dict[str, float]:
     """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
-    x, wrong = features.missed(motion)
+    x, wrong = _missed(features, motion)
     groups = (each.split(list(encoder.FEATURE_GROUPS.values()), -1) for each in (wrong, (x - x.mean((0, 1))).square()))
     parts = zip(encoder.FEATURE_GROUPS, *groups, strict=True)
     return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
@@ -73,14 +79,14 @@ class _EncoderRun(TrainingRun):
         super().__init__(recipe, windows.digest, generator, network, optimiser)
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
-        _, missed = self.model.missed(self.windows.draw(self.recipe.batch, self.generator))
+        _, missed = _missed(self.model, self.windows.draw(self.recipe.batch, self.generator))
         return (missed * self.weight).sum(-1).mean(), {}
 
 
 def train_encoder(
     windows: Windows, recipe: encoder.EncoderRecipe, held: Motion | None = None, *, progress: bool = False
 ) -> tuple[encoder.MotionEncoder, list[dict]]:
-    """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
+    """Trains on windows; returns the features and the curve: loss, and what is missed of held-out windows."""
     if windows.length != recipe.frames:
         raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
     every, judge = max(1, recipe.steps // 20), None if held is None else lambda x: share_missed(x, held)
