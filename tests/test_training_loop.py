@@ -200,7 +200,3 @@ def test_the_judge_chooses_the_weights_that_ship(tmp_path):
         assert each.best["step"] == 4 and each.best["kid"] == 1.0
         assert alike(dict(seen[1]), dict(each.shipped.state_dict()))
     assert not alike(dict(seen[1]), again.average)
-
-
-def test_without_a_judge_the_last_average_ships(whole):
-    assert alike(dict(whole.shipped.state_dict()), whole.average)
