@@ -30,10 +30,9 @@ _LIVELY, _QUICK = 2.5, 1.0  # strength of acceleration that is motion: rad/s^(3/
 def _mask(known: Tensor, motion: Motion) -> Tensor:
     """The mask as bool (..., T, J): of joints where it has an axis more than frames have."""
     whole = known.bool() if known.ndim == motion.root.ndim else known.bool()[..., None]
-    *_, frames, _ = shape = motion.rot.shape[:-2]
-    fits = all(k in (1, n) for k, n in zip(whole.shape[::-1], shape[::-1], strict=False))
-    if not fits or whole.shape[-2:-1] != (frames,) or whole.ndim > len(shape):
-        raise ShapeError(f"known: expected (..., {frames}) or {tuple(shape)}, got {tuple(known.shape)}")
+    shape = motion.rot.shape[:-2]
+    if whole.shape[-2:-1] != shape[-2:-1] or whole.shape[-1] not in (1, shape[-1]) or whole.ndim > len(shape):
+        raise ShapeError(f"known: expected (..., {motion.frames}) or {tuple(shape)}, got {tuple(known.shape)}")
     if not whole.any(-2).all():
         raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")
     return whole.expand(shape)
@@ -108,27 +107,6 @@ def savitzky_golay(x: Tensor, window: int, degree: int) -> Tensor:
     return torch.as_tensor(smooth).to(x)
 
 
-def one_euro(x: Tensor, fps: float, min_cutoff: float = 1.0, beta: float = 0.0, d_cutoff: float = 1.0) -> Tensor:
-    """Smooths x (..., T, D) by the one-euro filter: a causal low-pass that opens with speed.
-
-    Args:
-        min_cutoff: Hz, at rest. beta: Hz per (unit of x / s), how much speed opens it. d_cutoff: Hz, for the speed.
-    Source: Casiez et al. 2012.
-    """
-    check_shape(x, "... T D", "x")
-
-    def alpha(cutoff):
-        return 1 / (1 + fps / (2 * torch.pi * cutoff))
-
-    frames = x.unbind(-2)
-    smooth, speed, out = frames[0], torch.zeros_like(frames[0]), [frames[0]]
-    for now, before in zip(frames[1:], frames[:-1], strict=True):
-        speed = torch.lerp(speed, (now - before) * fps, alpha(d_cutoff))
-        smooth = torch.lerp(smooth, now, alpha(min_cutoff + beta * speed.abs()))
-        out.append(smooth)
-    return torch.stack(out, -2)
-
-
 def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
     """Smooths x (..., T, D) as a constant-velocity Kalman filter and Rauch-Tung-Striebel smoother do; no gradient.
 
@@ -141,7 +119,6 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
 
     Source: Wahba 1978 (the mean is a spline); Reinsch 1967 (its system).
     Raises:
-        ShapeError: no frames.
         ValueError: fps, noise or acceleration is not a finite number above zero (without spread nothing weighs
             one measurement against another).
         DataError: x is not finite.
@@ -150,8 +127,6 @@ def kalman(x: Tensor, fps: float, noise: float, acceleration: float) -> Tensor:
     for name, value in (("fps", fps), ("noise", noise), ("acceleration", acceleration)):
         if not 0 < value < torch.inf:
             raise ValueError(f"{name}: expected a finite number above zero, got {value}")
-    if x.numel() == 0:
-        raise ShapeError(f"x {tuple(x.shape)}: nothing to smooth")
     if not x.isfinite().all():
         raise DataError("x holds NaN or infinity", remedy="fill it first")
     if x.shape[-2] < 3:  # on one line
@@ -247,11 +222,9 @@ class Noise:
 def denoised(motion: Motion, noise: Noise) -> Motion:
     """Computes a motion without most of its noise: a Kalman smoother over joints and root, each with its own."""
 
-    def by(size: float, lively: float):
-        return lambda x: kalman(x, motion.fps, max(size, 1e-6), lively)
-
-    turned = smooth(motion, by(noise.turn, _LIVELY))
-    return replace(turned, root=by(noise.shift, _QUICK)(motion.root))
+    turn, shift = (max(size, 1e-6) for size in (noise.turn, noise.shift))
+    turned = smooth(motion, lambda x: kalman(x, motion.fps, turn, _LIVELY))
+    return replace(turned, root=kalman(motion.root, motion.fps, shift, _QUICK))
 
 
 def _steady(shape: Sequence[int], generator: torch.Generator, *, dim: int, lasting: float) -> Tensor:

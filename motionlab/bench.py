@@ -26,9 +26,9 @@ from torch.nn.functional import one_hot
 
 from motionlab import corpus, splits
 from motionlab.corpus import Take
-from motionlab.diffusion.features import UNITS, Layout, Normaliser, restore_known, units
+from motionlab.diffusion.features import Layout, Normaliser, restore_known, units
 from motionlab.diffusion.sampling import offset_decay
-from motionlab.diffusion.windows import LEGS, gather, on_standard
+from motionlab.diffusion.windows import LEGS, gather, on_standard, spread
 from motionlab.errors import DataError, ShapeError
 from motionlab.heading import Frame, local_to_world, stuck_root, world_to_local
 from motionlab.metrics import joint_errors, mean_acceleration, slide_where_truth_stands_mm
@@ -54,24 +54,15 @@ class PersonWindows(NamedTuple):
 
 def person_windows(takes: Sequence[Take], frames: int, each: int) -> PersonWindows:
     """At most ``each`` windows of every person, evenly over what there is; shorter takes are left out."""
-    theirs: dict[str, list[Take]] = {}
-    for take in takes:
-        if take.motion.frames >= frames:
-            theirs.setdefault(take.person, []).append(take)
-    rows, whose, lacks = [], [], []
-    for person, some in enumerate(theirs.values()):
-        data = gather([on_standard(t.motion) for t in some], frames, mirrored=False)
-        at = torch.linspace(0, len(data.begins) - 1, min(each, len(data.begins))).round().long()
-        rows.append(data.evenly(each))
-        whose.append(torch.full((len(at),), person))
-        missing = [[name in take.missing for name in STANDARD.names] + [False, False] for take in some]
-        lacks.append(torch.tensor(missing)[data.clip[data.begins[at]]])
-    if not rows:
+    takes = [take for take in takes if take.motion.frames >= frames]
+    if not takes:
         raise DataError(f"nobody has {frames} frames of motion", remedy="name a folder with more recordings")
-    parts = [torch.cat([getattr(m, name) for m in rows]) for name in ("root", "rot", "contacts")]
-    return PersonWindows(
-        Motion(STANDARD, *parts[:2], rows[0].fps, parts[2]), torch.cat(whose), torch.cat(lacks)[:, None]
-    )
+    data = gather([on_standard(t.motion) for t in takes], frames, mirrored=False, people=[t.person for t in takes])
+    whose = data.people[data.clip[data.begins]]
+    some = torch.cat([spread((whose == person).nonzero()[:, 0], each) for person in whose.unique()])
+    missing = torch.tensor([[name in take.missing for name in STANDARD.names] + [False, False] for take in takes])
+    motion = replace(data.cut(data.begins[some]), skeleton=STANDARD)
+    return PersonWindows(motion, whose[some], missing[data.clip[data.begins[some]], None])
 
 
 def by_person(values: Tensor, whose: Tensor) -> Tensor:
@@ -162,12 +153,11 @@ def judged(
     known = case.mask(len(motion.root))
     told = known if show_missing else known & ~lacks
     made = [restore_known(fill(motion, told), motion, known | lacks) for _ in range(draws)]
-    rows = {
-        "cm": [error_cm(m, motion, known, case.joints) for m in made],
-        "slide": [slide_mm(m, motion) for m in made],
-        "acceleration": [acceleration_ratio(m, motion) for m in made],
+    found = {
+        "cm": torch.stack([error_cm(m, motion, known, case.joints) for m in made]).mean(0),
+        "slide": torch.stack([slide_mm(m, motion) for m in made]).mean(0),
+        "acceleration": torch.stack([acceleration_ratio(m, motion) for m in made]).mean(0),
     }
-    found = {name: torch.stack(each).mean(0) for name, each in rows.items()}
     if draws > 1:
         found["score"] = energy_score(made, motion, known, case.joints)
         found["spread"] = 2 * (found["cm"] - found["score"])
@@ -294,8 +284,6 @@ class Rivals:
     def _filled(
         self, motion: Motion, known: Tensor, find: Callable[[Tensor, Tensor], Tensor], finish: int = 0
     ) -> Motion:
-        if known.shape != (*motion.root.shape[:2], UNITS):
-            raise ShapeError(f"known: expected {(*motion.root.shape[:2], UNITS)}, got {tuple(known.shape)}")
         _, frame = stuck_root(motion)
         mask = known[..., units(self.layout)].flatten(1)
         x = torch.where(mask, self.encode_in(frame, motion), 0.0)

@@ -28,10 +28,13 @@ _LOADED: dict[str, str] = {}  # what this process has read: name and checksum
 REMEDY = "train it again (python -m motionlab train --help), or take the file from the project's repository"
 
 
-def save(path: Path | str, tensors: dict[str, Tensor], recipe: dict) -> None:
-    """Writes ``path`` (.safetensors) and its recipe (.json): first the tensors, then the recipe with their checksum."""
+def save(path: Path | str, tensors: Mapping[str, Tensor], recipe: dict, exact: tuple[str, ...] = ("",)) -> None:
+    """Writes ``path`` (.safetensors) and its recipe (.json): first the tensors, then the recipe with their checksum.
+
+    exact: how names begin of tensors that are not written as float16; all do."""
     path = Path(path).with_suffix(".safetensors")
-    content = save_tensors({name: value.detach().cpu().contiguous() for name, value in tensors.items()})
+    halved = {name: x if name.startswith(exact) else x.half() for name, x in tensors.items()}
+    content = save_tensors({name: x.detach().cpu().contiguous() for name, x in halved.items()})
     recipe = recipe | {"sha256": hashlib.sha256(content).hexdigest()}
     write_whole(path, content)
     write_whole(path.with_suffix(".json"), json.dumps(recipe, indent=1) + "\n")
@@ -39,6 +42,9 @@ def save(path: Path | str, tensors: dict[str, Tensor], recipe: dict) -> None:
 
 def load(path: Path | str) -> tuple[dict[str, Tensor], dict]:
     """Reads the tensors, as they were stored, and the recipe.
+
+    With $MOTIONLAB_NUDGE set to a seed, each number is off by about 1 part in 10^7, as rounding on another machine
+    might have it: what a fingerprint must stand (``suite.execute``).
 
     Raises:
         DataError: a file is missing, damaged or half written, or the two do not belong together.
@@ -51,20 +57,12 @@ def load(path: Path | str) -> tuple[dict[str, Tensor], dict]:
     if recipe.get("sha256") != hashlib.sha256(content).hexdigest():
         raise DataError("not the tensors that its recipe describes", path=path, place="sha256", remedy=REMEDY)
     _LOADED[path.stem] = recipe["sha256"][:12]
-    return _nudged(tensors), recipe
-
-
-def _nudged(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The tensors; with $MOTIONLAB_NUDGE set to a seed, each number off by about 1 part in 10^7, as rounding on another
-    machine might have it: what a fingerprint must stand (``suite.execute``)."""
-    seed = os.environ.get("MOTIONLAB_NUDGE")
-    if not seed:
-        return tensors
-    generator = torch.Generator().manual_seed(int(seed))
-    return {
-        name: x.float() * (1 + 1e-7 * torch.randn(x.shape, generator=generator)) if x.is_floating_point() else x
-        for name, x in sorted(tensors.items())  # safetensors gives them in another order each time
-    }
+    if seed := os.environ.get("MOTIONLAB_NUDGE"):
+        generator = torch.Generator().manual_seed(int(seed))
+        for name, x in sorted(tensors.items()):  # safetensors gives them in another order each time
+            if x.is_floating_point():
+                tensors[name] = x.float() * (1 + 1e-7 * torch.randn(x.shape, generator=generator))
+    return tensors, recipe
 
 
 def loaded() -> dict[str, str]:

@@ -101,18 +101,12 @@ def _teleports(motion: Motion, places: Tensor) -> Tensor:
 def _calibration(motion: Motion, places: Tensor) -> Tensor:
     """A T-pose within the first or last three seconds: arms level, straight and sideways, legs straight, hardly any
     motion."""
-    at = STANDARD.index
-    found = torch.ones(motion.frames, dtype=torch.bool)
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        arm = places[:, at(f"{side}_wrist")] - places[:, at(f"{side}_shoulder")]
-        across = sign * (places[:, at("left_shoulder")] - places[:, at("right_shoulder")])
-        reach = sum(
-            (places[:, at(f"{side}_{a}")] - places[:, at(f"{side}_{b}")]).norm(dim=-1)
-            for a, b in (("elbow", "shoulder"), ("wrist", "elbow"))
-        )
-        along = (arm * across).sum(-1) / (reach * across.norm(dim=-1)).clamp(min=1e-9)
-        leg = places[:, at(f"{side}_ankle")] - places[:, at(f"{side}_hip")]
-        found &= (along > 0.94) & (-leg[:, 2] > 0.97 * leg.norm(dim=-1))
+    shoulder, elbow, wrist, hip, ankle = _sides(places, "shoulder", "elbow", "wrist", "hip", "ankle")
+    arm, leg = wrist - shoulder, ankle - hip
+    across = shoulder - shoulder.flip(1)  # from the other one
+    reach = (elbow - shoulder).norm(dim=-1) + (wrist - elbow).norm(dim=-1)
+    along = (arm * across).sum(-1) / (reach * across.norm(dim=-1)).clamp(min=1e-9)
+    found = ((along > 0.94) & (-leg[..., 2] > 0.97 * leg.norm(dim=-1))).all(-1)
     edge = min(motion.frames, round(3 * motion.fps))
     found[edge : motion.frames - edge] = False
     return _wide(found, motion.fps, 0.3)
@@ -135,12 +129,12 @@ def _afloat(motion: Motion, places: Tensor) -> Tensor:
 def _backwards(motion: Motion) -> Tensor:
     """(T,): how far, in radians, the worse knee bends the wrong way: its shin ahead of the thigh, about the thigh's own
     left axis."""
-    _, world = motion.world
-    places, at = motion.positions.double(), motion.skeleton.index
-    worst = places.new_zeros(motion.frames)
-    for side in ("left", "right"):
-        hip, knee, ankle = (places[:, at(f"{side}_{name}")] for name in ("hip", "knee", "ankle"))
-        thigh, shin = F.normalize(knee - hip, dim=-1), F.normalize(ankle - knee, dim=-1)
-        bend = (torch.linalg.cross(thigh, shin) * world[:, at(f"{side}_hip"), :, 0].double()).sum(-1)
-        worst = torch.maximum(worst, -torch.asin(bend.clamp(-1, 1)))
-    return worst
+    hip, knee, ankle = _sides(motion.positions.double(), "hip", "knee", "ankle")
+    (left,) = _sides(motion.world[1][..., 0].double(), "hip")
+    thigh, shin = F.normalize(knee - hip, dim=-1), F.normalize(ankle - knee, dim=-1)
+    return -torch.asin((torch.linalg.cross(thigh, shin) * left).sum(-1).clamp(-1, 1)).amin(-1)
+
+
+def _sides(values: Tensor, *parts: str) -> list[Tensor]:
+    """Of each part the left and the right one (T, 2, ...), of values (T, 22, ...)."""
+    return [values[:, STANDARD.indices([f"{side}_{part}" for side in ("left", "right")])] for part in parts]

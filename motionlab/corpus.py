@@ -16,7 +16,7 @@ import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -33,9 +33,9 @@ from motionlab.parallel import run_jobs
 from motionlab.retarget import retarget
 from motionlab.skeleton import STANDARD
 
-_FORMAT = 4  # of what is kept
+_FORMAT = 5  # of what is kept
+_EACH = 16  # recordings of a process, at least
 _SLOWEST = 10.0  # fps: between frames further apart nobody knows what happened
-_TOGETHER = 16  # recordings a job
 #: Modules whose text decides what is kept.
 _READERS = (
     "cleaning", "contact", "corpus", "ik", "motion", "rest", "retarget", "rigs", "rotation", "skeleton",
@@ -100,10 +100,8 @@ class Corpus:
         lines = []
         for row in self.rows:
             lost = ", ".join(f"{name} {s / 60:.1f}" for name, s in sorted(row.cut.items(), key=lambda x: -x[1]))
-            lines.append(
-                f"{row.source}: {row.recordings} recordings, {row.seconds / 60:.1f} min, kept {row.kept / 60:.1f}"
-                + (f"; cut, min: {lost}" if lost else "")
-            )
+            line = f"{row.source}: {row.recordings} recordings, {row.seconds / 60:.1f} min, kept {row.kept / 60:.1f}"
+            lines.append(f"{line}; cut, min: {lost}" if lost else line)
             reasons = Counter(row.refused.values())
             lines += [f"  refused {n}: {reason}" for reason, n in reasons.most_common(5)]
             lines += [f"    {name}" for name in list(row.refused)[:5]]
@@ -182,51 +180,34 @@ def _key(folder: Path, files: Sequence[Path], reading: object) -> str:
     for path in (*files, *beside):
         state = path.stat()
         whole.update(repr((str(path.relative_to(folder)), state.st_size, state.st_mtime_ns)).encode())
-    whole.update(_code().encode())
+    for name in _READERS:
+        whole.update(source_hash((Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8")).encode())
     return whole.hexdigest()[:16]
-
-
-@cache
-def _code() -> str:
-    """Hashes of the code that reads."""
-    return " ".join(source_hash((Path(__file__).parent / f"{n}.py").read_text(encoding="utf-8")) for n in _READERS)
 
 
 def _prepared(
     source: str, folder: Path, files: Sequence[tuple[Path, Callable]], workers: int, bar: bool
 ) -> tuple[dict[str, torch.Tensor], dict]:
-    """One source, ready to be kept."""
+    """One source, ready to be kept: tensors of every take by their number, and what to say of them."""
     said = _descriptions(folder / source)
-    lots = [files[i : i + _TOGETHER] for i in range(0, len(files), _TOGETHER)]
-    jobs = [partial(_some, folder / source, lot, said) for lot in lots]
+    jobs = [partial(_stretches, folder, path, load, said.get(path.stem, path.stem)) for path, load in files]
     with tqdm(total=len(files), disable=not bar, desc=source, unit="file") as shown:
-        found = run_jobs(jobs, min(workers, len(jobs)) or 1, lambda k, _: shown.update(len(lots[k])))
-    every, cut = [each for lot in found for each in lot], Counter()
-    for each in every:
-        cut.update(each["cut"])
+        found = run_jobs(jobs, max(1, min(workers, len(jobs) // _EACH)), lambda *_: shown.update())
+    cut, takes = Counter(), [take for each, _ in found for take in each]
+    for _, row in found:
+        cut.update(row["cut"])
     row = {
-        "source": source, "recordings": len(files), "seconds": sum(each["seconds"] for each in every), "cut": cut,
-        "refused": {each["file"]: each["refused"] for each in every if each["refused"]},
+        "source": source, "recordings": len(files), "seconds": sum(row["seconds"] for _, row in found), "cut": cut,
+        "refused": {row["file"]: row["refused"] for _, row in found if row["refused"]},
     }  # fmt: skip
-    tensors = {name: torch.cat([t for each in every for t in each[name]]) for name in _EMPTY}
-    return tensors, {"takes": [take for each in every for take in each["takes"]], "row": row}
+    tensors = {f"{name} {k}": x for k, (parts, _) in enumerate(takes) for name, x in parts.items()}
+    return tensors, {"takes": [about for _, about in takes], "row": row}
 
 
-_EMPTY = {
-    "root": torch.zeros(0, 3), "rot": torch.zeros(0, 22, 4), "contacts": torch.zeros(0, 9, dtype=torch.uint8),
-    "offsets": torch.zeros(0, 22, 3),
-}  # fmt: skip
-
-
-def _some(place: Path, files: Sequence[tuple[Path, Callable]], said: Mapping[str, str]) -> list[dict]:
-    """What each file gives: tensors of its clean stretches, and what to say of it."""
-    return [_one(place, path, load, said.get(path.stem, path.stem)) for path, load in files]
-
-
-def _one(place: Path, path: Path, load: Callable, said: str) -> dict:
-    file = path.relative_to(place.parent)
-    found = {name: [empty] for name, empty in _EMPTY.items()}
-    found |= {"takes": [], "cut": {}, "refused": "", "file": file.as_posix(), "seconds": 0.0}
+def _stretches(folder: Path, path: Path, load: Callable, said: str) -> tuple[list[tuple[dict, dict]], dict]:
+    """The clean stretches of a recording, tensors and what to say of each; and what became of the rest."""
+    file = path.relative_to(folder)
+    row = {"file": file.as_posix(), "seconds": 0.0, "cut": {}, "refused": ""}
     try:
         recording = load(path)
         if not isinstance(recording, Motion):
@@ -237,19 +218,16 @@ def _one(place: Path, path: Path, load: Callable, said: str) -> dict:
         whole = resample(replace(moved.motion, name=file.with_suffix("").as_posix()), FPS, "spline")
         cleaned = cleaning.clean(whole)
     except (DataError, MissingData, ValueError) as error:
-        return found | {"refused": getattr(error, "message", str(error))}
-    found |= {"seconds": whole.seconds, "cut": dict(cleaned.seconds)}
-    for stretch in cleaned.stretches:
-        labelled = with_contacts(stretch)
-        found["root"].append(labelled.root.float())
-        found["rot"].append(rotation.matrix_to_quaternion(labelled.rot.float()))
-        found["contacts"].append(labelled.contacts.to(torch.uint8))
-        found["offsets"].append(labelled.skeleton.offsets.float()[None])
-        found["takes"].append({
-            "name": stretch.name, "file": file.as_posix(), "said": said, "fps": recording.fps,
-            "missing": list(moved.unmapped), "frames": labelled.frames, "sole": labelled.skeleton.sole,
-        })  # fmt: skip
-    return found
+        return [], row | {"refused": getattr(error, "message", str(error))}
+    about = {"file": file.as_posix(), "said": said, "fps": recording.fps, "missing": list(moved.unmapped)}
+    takes = []
+    for stretch in map(with_contacts, cleaned.stretches):
+        parts = {
+            "root": stretch.root.float(), "rot": rotation.matrix_to_quaternion(stretch.rot.float()),
+            "contacts": stretch.contacts.to(torch.uint8), "offsets": stretch.skeleton.offsets.float(),
+        }  # fmt: skip
+        takes.append((parts, about | {"name": stretch.name, "sole": stretch.skeleton.sole}))
+    return takes, row | {"seconds": whole.seconds, "cut": dict(cleaned.seconds)}
 
 
 def _descriptions(place: Path) -> dict[str, str]:
@@ -266,13 +244,12 @@ def _read(path: Path) -> tuple[list[Take], SourceRow] | None:
     """A kept source; None where there is none, or it is damaged."""
     if (found := checkpoint.kept(path)) is None:
         return None
-    (root, rot, contacts, offsets), about = (found[0][name] for name in _EMPTY), found[1]
-    source, takes, at = about["row"]["source"], [], 0
-    matrices = rotation.quaternion_to_matrix(rot)
-    for own, each in zip(offsets, about["takes"], strict=True):
-        some, at = slice(at, at + each["frames"]), at + each["frames"]
-        skeleton = replace(STANDARD, offsets=own, sole=each["sole"])
-        motion = Motion(skeleton, root[some], matrices[some], FPS, contacts[some].float(), name=each["name"])
+    tensors, about = found
+    source, takes = about["row"]["source"], []
+    for k, each in enumerate(about["takes"]):
+        root, rot, contacts, offsets = (tensors[f"{name} {k}"] for name in ("root", "rot", "contacts", "offsets"))
+        skeleton = replace(STANDARD, offsets=offsets, sole=each["sole"])
+        motion = Motion(skeleton, root, rotation.quaternion_to_matrix(rot), FPS, contacts.float(), name=each["name"])
         person = splits.person_of(source, each["file"])
         takes.append(Take(motion, each["name"], source, person, each["said"], each["fps"], tuple(each["missing"])))
     return takes, SourceRow(**about["row"], kept=sum(t.motion.seconds for t in takes))

@@ -8,11 +8,8 @@ change with N.
 """
 
 import math
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -112,37 +109,13 @@ def acceleration_error(predicted: Tensor, truth: Tensor, fps: float) -> Tensor:
 def jitter(positions: Tensor, fps: float) -> Tensor:
     """Computes the mean size (...) of the third time derivative in m/s^3; NaN for fewer than four frames."""
     check_shape(positions, "... T J 3", "positions")
-    jerk = torch.linalg.vector_norm(positions.diff(n=3, dim=-3), dim=-1) * fps**3
-    return masked_mean(jerk, None, 2)
+    return masked_mean(torch.linalg.vector_norm(positions.diff(n=3, dim=-3), dim=-1) * fps**3, None, 2)
 
 
 def power_spectrum(velocities: Tensor) -> Tensor:
     """Computes the power (..., F) of velocities (..., T, J, 3) by frequency under a Hann window, summed over joints."""
     window = torch.hann_window(velocities.shape[-3], False, dtype=velocities.dtype, device=velocities.device)
     return torch.fft.rfft(velocities * window[:, None, None], dim=-3).abs().square().sum((-1, -2))
-
-
-def power_spectrum_ratio(predicted: Tensor, truth: Tensor, fps: float, edges: Sequence[float]) -> Tensor:
-    """Computes the power of predicted paths over that of the true ones, by frequency band: (..., bands).
-
-    Below 1: over-smoothed in that band; above 1: added noise. Velocities (first differences) under a Hann
-    window, power summed over joints and coordinates. A band without true power gives inf, or NaN where
-    there is no predicted power either; so do too few frames to have a frequency in the band.
-
-    Args:
-        edges: bands + 1 growing frequencies in Hz; a band holds its lower edge and not its upper one.
-
-    Raises:
-        ShapeError: different numbers of frames or joints.
-    """
-    _check_pair(predicted, truth)
-    if truth.shape[-3] < 2:
-        return truth.new_full((*np.broadcast_shapes(predicted.shape, truth.shape)[:-3], len(edges) - 1), torch.nan)
-    frequency = torch.fft.rfftfreq(truth.shape[-3] - 1, 1 / fps, dtype=truth.dtype, device=truth.device)
-    bands = torch.tensor([list(band) for band in pairwise(edges)]).to(truth)
-    inside = ((frequency >= bands[:, :1]) & (frequency < bands[:, 1:])).to(truth)  # (bands, F)
-    mine, true = (power_spectrum(x.diff(dim=-3)) @ inside.mT for x in (predicted, truth))
-    return mine / true
 
 
 # -------------------------------------------------------------------------------------------------------- gait and feet
@@ -160,23 +133,6 @@ def tilt_and_bend(motion: Motion) -> tuple[Tensor, Tensor]:
     thigh, shin = (torch.nn.functional.normalize(x, dim=-1) for x in (knee - hip, ankle - knee))
     cosine = (thigh * shin).sum(-1).clamp(-1, 1)
     return torch.rad2deg((-thigh[..., 2]).clamp(-1, 1).arccos()), torch.rad2deg(cosine.arccos())
-
-
-def sits(motion: Motion, when: Tensor | None = None) -> Tensor:
-    """Computes who sits: 1 where both angles, means over legs and frames, reach SEATED, else 0.
-
-    Frames: those of a mask ``when`` (B, T), else the last ten.
-    """
-    angles = (angle.mean(-1) for angle in tilt_and_bend(motion))
-    tilt, bend = (x[..., -10:].mean(-1) if when is None else masked_mean(x, when, 1) for x in angles)
-    return ((tilt >= SEATED) & (bend >= SEATED)).to(tilt)
-
-
-def ahead(motion: Motion) -> Tensor:
-    """Computes how far the left ankle is ahead of the right one, metres (B, T), along the heading of the pelvis."""
-    forward = torch.nn.functional.normalize(motion.rot[..., 0, :2, 2], dim=-1)
-    left, right = (motion.positions[..., motion.skeleton.index(f"{side}_ankle"), :2] for side in SIDES)
-    return ((left - right) * forward).sum(-1)
 
 
 def skating_ratio(positions: Tensor, fps: float) -> Tensor:

@@ -81,9 +81,10 @@ class Draws:
         said = []
         for joint, name in enumerate(self.fit.skeleton.names):
             for start, end in [span for span in runs(self.hidden[:, joint]) if span[1] - span[0] >= _SHORTEST]:
-                size, span = width[start:end, joint].mean().item(), (start / self.fit.fps, (end - 1) / self.fit.fps)
-                said.append(f"{name.replace('_', ' ')}, {span[0]:.1f} to {span[1]:.1f} s: {size:.0f} cm at {level:.0%}")
-        return [*(line.replace("%", " %") for line in said), *self.diagnostics]
+                span = f"{start / self.fit.fps:.1f} to {(end - 1) / self.fit.fps:.1f} s"
+                size = f"{width[start:end, joint].mean():.0f} cm at {100 * level:.0f} %"
+                said.append(f"{name.replace('_', ' ')}, {span}: {size}")
+        return [*said, *self.diagnostics]
 
 
 def sample(

@@ -13,10 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
 
-import torch
-
 from motionlab.errors import DataError
-from motionlab.humor import state
 from motionlab.io.recordings import recordings
 from motionlab.motion import FPS, Motion, resample
 from motionlab.retarget import retarget
@@ -24,7 +21,6 @@ from motionlab.retarget import retarget
 #: Sources that a corpus of real motion is made of (``corpus.assemble``), by their licences; people, not clips, are kept
 #: apart there.
 REAL = ("cmu_library", "cmu_native", "cmu_amc", "deepmimic", "reactidle", "animated_drawings", "isaacgym_amp_cmu")
-_WINDOW = 61  # of a window: two seconds
 SYNTHETIC, RECORDED = "synthetic", "recordings"
 PARTS = ("train", "val", "test")
 _TABLE = Path(__file__).with_name("subjects.toml")
@@ -110,16 +106,3 @@ def load_source(folder: Path | str | None, source: str, *, each: int | None = No
 @lru_cache(maxsize=512)
 def _load(path: Path, load: Callable) -> Motion:
     return resample(retarget(load(path)).motion, FPS)
-
-
-def state_windows(motions: Sequence[Motion], most: int = 48) -> tuple[torch.Tensor, torch.Tensor]:
-    """Computes states (W, 61, 339) with velocities of the past, and contacts (W, 61, 9), evenly over motions; none
-    where all are shorter."""
-    cuts = [
-        (state.from_motion(m, causal=True)[i : i + _WINDOW].float(), m.contacts[i : i + _WINDOW].float())
-        for m in motions for i in range(0, m.frames - _WINDOW + 1, _WINDOW)
-    ]  # fmt: skip
-    if not cuts:
-        return torch.zeros(0, _WINDOW, state.STATE), torch.zeros(0, _WINDOW, state.CONTACTS)
-    x, c = zip(*subsample(cuts, most), strict=True)
-    return torch.stack(x), torch.stack(c)

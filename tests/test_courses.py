@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import torch
 
-from motionlab import checkpoint, splits
+from motionlab import checkpoint
 from motionlab.bench import PersonWindows
 from motionlab.diffusion.model import DenoiserRecipe
 from motionlab.diffusion.windows import gather, on_standard
@@ -33,7 +34,7 @@ def prior(motions):
     bodies = {"own bones": own, "standard body": [*map(on_standard, own)]}
     people = ["a", *["b"] * (len(own) - 1)] * 2
     windows = gather([m for some in bodies.values() for m in some], SMALL.length + 2, people=people)
-    held = {body: {"c": [x[:2] for x in splits.state_windows(some[:1])]} for body, some in bodies.items()}
+    held = {body: courses.person_states([Mock(motion=some[0], person="c")], 2) for body, some in bodies.items()}
     return courses.PriorCourse("transition", SMALL, None, (windows, held))
 
 
@@ -59,12 +60,12 @@ def test_who_does_what_was_asked_has_one(prior, monkeypatch):
 def test_the_prior_goes_on_from_what_it_wrote(prior, here, monkeypatch):
     """By a bare name in the folder at hand; the kept state is gone, so that the file is all there is."""
     out = Path("transition")
-    courses.go_on(prior, out, every=2, schedules=1)
+    next(courses.go_on(prior, out, every=2))
     before = checkpoint.read_recipe(out)
     assert before["step"] in (2, 4) and before["people"] == 1 and before["recipe"]["width"] == 64
     courses._kept("transition", out).unlink()
     monkeypatch.setattr(prior, "recipe", replace(SMALL, lr=1e-6))
-    courses.go_on(prior, out, every=2, schedules=1)
+    next(courses.go_on(prior, out, every=2))
     run = prior.trainer.resume(courses._kept("transition", out), prior.windows)
     assert run.earlier == before["step"] and run.step == 4 and run.recipe.sampling_end == 0
     first, again = prior.load(out), run.averaged
@@ -77,7 +78,7 @@ def test_the_prior_goes_on_from_what_it_wrote(prior, here, monkeypatch):
 def test_the_denoiser_goes_on_from_what_it_wrote(plain, here):
     """With the size and the numbers of what is there; less of its error is chosen."""
     out = here / "plain"
-    courses.go_on(plain, out, every=2, schedules=1)
+    next(courses.go_on(plain, out, every=2))
     before, first = checkpoint.read_recipe(out), plain.load(out)
     row = before["quality, validation people"]
     levels = [value for name, value in row.items() if name != courses.MEAN_ERROR]
@@ -87,7 +88,7 @@ def test_the_denoiser_goes_on_from_what_it_wrote(plain, here):
     assert begun.recipe.size == "small"
     weight = lambda model: next(iter(model.denoiser.state_dict().values()))  # noqa: E731
     assert (weight(begun.averaged) - weight(first)).abs().max() == 0
-    courses.go_on(plain, out, every=2, schedules=1)
+    next(courses.go_on(plain, out, every=2))
     assert checkpoint.read_recipe(out)["step"] >= before["step"]
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from motionlab.diffusion import sampling
-from motionlab.diffusion.sampling import cosine
+from motionlab.diffusion.sampling import Inpainting, cosine
 from studies.nb10_how_it_works.checks import GaussianData
 
 T = 24
@@ -33,28 +33,19 @@ def curves(data, count, generator):
     return (torch.randn(count, T, generator=generator, dtype=torch.float64) @ factor.T)[..., None]
 
 
-def made(denoise, after, count, generator):
-    x = torch.randn(count, T, 1, generator=generator, dtype=torch.float64)
-    return sampling.ddpm(denoise, SCHEDULE, x, generator, after=after)
+def made(denoise, known, generator, mask=M, **how):
+    return sampling.inpaint(denoise, cosine(1000), known, mask.bool(), generator, Inpainting(60, **how))
 
 
 def test_the_known_part_is_noised_to_the_step_before(generator):
-    """Eq. 4.10: mean and spread of what is put back behind step t are those of x_{t-1}."""
-    known = torch.full((20_000, T, 1), 2.0, dtype=torch.float64)
-    after = sampling._replace(SCHEDULE, known, M, generator)
-    for t in (1, 30, 59):
-        x = after(torch.full_like(known, -7.0), known, t)
-        a = SCHEDULE.alpha_bar[t - 1]
-        assert x[:, 0].mean() == pytest.approx(2 * a.sqrt().item(), abs=0.03)
-        assert x[:, 0].std() == pytest.approx((1 - a).sqrt().item(), abs=0.03)
-        assert (x[:, 12] == -7).all()
-    assert torch.equal(after(torch.zeros_like(known), known, 0)[:, :8], known[:, :8])
-
-
-def test_guided_estimates_end_exact(data, denoise, generator):
-    known = curves(data, 5, generator)
-    x = made(sampling._guided(denoise, SCHEDULE, known, M, 1.0), None, 5, generator)
-    assert (x[:, :8] - known[:, :8]).abs().max() < 1e-12 and (x[:, 12] - known[:, 12]).abs().max() > 1e-3
+    """Eq. 4.10: mean and spread of what is put back behind a step are those of the next one's x_t."""
+    known, seen = torch.full((20_000, T, 1), 2.0, dtype=torch.float64), {}
+    x = made(lambda x, stamps: seen.setdefault(int(stamps[0]), x) * 0 - 7.0, known, generator)
+    for t in (0, 29, 58):
+        a, x_t = SCHEDULE.alpha_bar[t], seen[int(SCHEDULE.stamps[t])]
+        assert x_t[:, 0].mean() == pytest.approx(2 * a.sqrt().item(), abs=0.03)
+        assert x_t[:, 0].std() == pytest.approx((1 - a).sqrt().item(), abs=0.03)
+    assert torch.equal(x[:, :8], known[:, :8]) and (x[:, 12] == -7).all()
 
 
 def conditional(data, known):
@@ -74,10 +65,8 @@ def test_guidance_comes_nearer_to_the_exact_conditional(data, denoise, generator
         mean = x[:, ~M[:, 0].bool(), 0].reshape(6, 150, -1).mean(1)
         return (mean - truth[::150]).square().mean().sqrt().item()
 
-    over = sampling._replace(SCHEDULE, known, M, generator)
-    plain = made(denoise, over, 900, generator)
-    guided = made(sampling._guided(denoise, SCHEDULE, known, M, 2.0), None, 900, generator)
-    ignorant = made(denoise, None, 900, generator)
+    plain, guided = made(denoise, known, generator), made(denoise, known, generator, guidance_weight=2.0)
+    ignorant = made(denoise, known, generator, 0 * M)
     assert miss(guided) < 0.85 * miss(plain) < 0.7 * miss(ignorant)
 
 

@@ -79,12 +79,10 @@ def test_motions_that_cannot_be_learned_from(motions, change, complaint, error):
 
 
 def test_motions_that_do_not_go_together(motions):
-    with pytest.raises(DataError, match=r"some not .*with_contacts"):
+    with pytest.raises(DataError, match=r"one has contacts .*with_contacts"):
         windows.gather([motions[0], replace(motions[1], contacts=None)], 20)
-    with pytest.raises(DataError, match="frame rates of 30 and 15"):
+    with pytest.raises(DataError, match=r"another frame rate .*resample"):
         windows.gather([motions[0], motions[1].cut(step=2)], 20)
-    with pytest.raises(ValueError, match="1 frame"):
-        windows.gather(motions, 0)
 
 
 def test_on_the_standard_body_feet_stand_where_they_stood(motions):

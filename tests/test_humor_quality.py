@@ -112,19 +112,19 @@ def test_a_gliding_body_slides_whatever_it_says_of_its_contacts(still, take):
 
 
 def test_contact_f1_of_constant_answers(still, take):
-    states, contacts = take
+    states, contacts = (x[:2] for x in take)
     truth = contacts[:, 1:]
     right = STANDARD.contact_indices.index(STANDARD.index("left_ankle"))
 
-    def f1(model):
-        return quality._contact_f1(model, states, contacts)[0]
+    def f1(model, of="one step, posterior, contact F1"):
+        return quality.quality_row(model, states, contacts)[of]
 
     assert f1(touching(still, [])) in (0.0, pytest.approx(0.0, nan_ok=True))
     share = float(truth.mean())
     assert f1(touching(still)) == pytest.approx(2 * share / (1 + share), abs=1e-4)
     assert 0 < f1(touching(still, [right])) < 1
     both = 2 * float((truth * contacts[:, :-1]).sum() / (truth.sum() + contacts[:, :-1].sum()))  # F1 by its definition
-    assert quality._contact_f1(still, states, contacts)[1] == pytest.approx(both, abs=1e-4)
+    assert f1(still, "contact F1, as one frame before") == pytest.approx(both, abs=1e-4)
 
 
 def test_effective_rank_counts_the_directions_that_z_has(still, take):

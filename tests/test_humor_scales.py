@@ -1,5 +1,7 @@
 """Widths that a transition prior cannot have; and the command that trains what is small."""
 
+from unittest.mock import Mock
+
 import pytest
 import torch
 
@@ -30,9 +32,8 @@ def test_the_command_wants_steps_that_can_be_counted(steps, capsys):
 def test_the_command_trains_the_small_priors(motions, tmp_path, monkeypatch):
     """End to end with little data: both checkpoints load, and their recipes say what they are."""
     some = [m for seed in (1, 2) for m in (perform_sequence(Corpus(seconds=6.0, seed=seed), 0).motion, *motions)]
-    missing = {splits.RECORDED: [("left_foot",)] * len(some)}
-    data = recipes.RealMotions({splits.RECORDED: some}, {"unseen": motions[:1]}, missing)
-    monkeypatch.setattr(recipes, "real_motions", lambda folder: data)
+    taken = {"train": [Mock(motion=m, missing=("left_foot",)) for m in some], "val": [Mock(motion=motions[0])]}
+    monkeypatch.setattr(recipes, "sources", lambda folder: (Mock(part=taken.get), []))
     assert main(["train", "small", "--steps", "3", "--seed", "2", "--out", str(tmp_path)]) == 0
     pose = pretrained.load_pose_prior(str(tmp_path / "pose_prior_real"))
     initial = pretrained.load_initial(str(tmp_path / "init_gmm_real"))
@@ -43,6 +44,7 @@ def test_the_command_trains_the_small_priors(motions, tmp_path, monkeypatch):
     made = [checkpoint.read_recipe(tmp_path / f"{name}_real") for name in ("pose_prior", "init_gmm")]
     command = "python -m motionlab train small --data FOLDER"
     assert [recipe["command"] for recipe in made] == [f"{command} --steps 3 --seed 2", f"{command} --seed 2"]
-    assert made[0]["data"] == made[1]["data"] == {splits.RECORDED: sum(m.frames for m in some)}
-    assert made[0]["steps"] == 3 and made[0]["held out"]["unseen"]["degrees"] > 0
-    assert made[1]["held-out log-likelihood, nats per frame"]["unseen"]["frames"] == -(-motions[0].frames // 3)
+    assert made[0]["data"] == made[1]["data"] == {splits.RECORDED: sum(m.frames for m in some), splits.SYNTHETIC: 0}
+    assert made[0]["steps"] == 3 and made[0]["held out"]["validation people"]["degrees"] > 0
+    held = made[1]["held-out log-likelihood, nats per frame"]["validation people"]
+    assert held["frames"] == -(-motions[0].frames // 3)

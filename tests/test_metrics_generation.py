@@ -39,9 +39,7 @@ def test_frechet_closed_forms():
     square = math.sqrt(1.5) * torch.tensor([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]]).double() / math.sqrt(2)
     assert metrics.frechet(square, square + torch.tensor([3.0, 4.0])) == pytest.approx(25)
     assert metrics.frechet(square, square * torch.tensor([2.0, 3.0])) == pytest.approx(5)  # (1 - 2)^2 + (1 - 3)^2
-    assert metrics.frechet(square, square * torch.tensor([2.0, 0.0])) == pytest.approx(
-        2
-    )  # singular: (1 - 2)^2 + (1 - 0)^2
+    assert metrics.frechet(square, square * torch.tensor([2.0, 0.0])) == pytest.approx(2)  # singular
 
 
 def test_frechet_with_fewer_samples_than_features_is_zero_for_equal_sets():
@@ -80,18 +78,6 @@ def test_manifolds_by_hand_on_the_edge_of_a_ball():
     fake = torch.tensor([[1.0], [-1.0], [5.5]])
     assert metrics.precision_recall(fake, real, 1)[0] == pytest.approx(2 / 3)
     assert metrics.density_coverage(fake, real, 1) == pytest.approx((1 / 3, 1 / 5))  # only 1 lies in a ball, its own
-
-
-def test_control_mode_collapse_costs_recall_and_coverage_but_not_precision():
-    """Half of a two-humped set is never generated."""
-    hump = torch.tensor([8.0, 0.0, 0.0])
-    real = torch.cat((normal(150, 3, 1), normal(150, 3, 2) + hump))
-    good = torch.cat((normal(150, 3, 3), normal(150, 3, 4) + hump))
-    collapsed = normal(300, 3, 5)
-    for fake, whole in ((good, True), (collapsed, False)):
-        (precision, recall), (_, coverage) = metrics.precision_recall(fake, real), metrics.density_coverage(fake, real)
-        assert precision > 0.8 and (recall > 0.8) == whole and (coverage > 0.8) == whole
-    assert metrics.precision_recall(collapsed, real)[1] == pytest.approx(0.5, abs=0.06)
 
 
 @pytest.mark.parametrize("measure", [metrics.frechet, metrics.precision_recall, metrics.density_coverage])

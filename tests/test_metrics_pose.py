@@ -94,23 +94,8 @@ def test_too_few_frames_are_nan_not_zero(generator):
         assert measure(walks(generator, frames, 22), 30.0).isnan()
         assert measure(walks(generator, frames + 1, 22), 30.0).isfinite()
     one = walks(generator, 1, 2)
-    assert metrics.power_spectrum_ratio(one, one, 30.0, [0.0, 5.0, 15.0]).isnan().tolist() == [True, True]
     assert metrics.skating_ratio(one, 30.0).isnan()
     assert metrics.slide_in_contact_mm(one, torch.ones(1, 2)).isnan()
-
-
-def test_power_ratio_sees_scale_smoothing_and_noise(generator):
-    t = torch.arange(300, dtype=F64)[:, None, None] / 30
-    low, high = torch.sin(2 * torch.pi * t), 0.1 * torch.sin(2 * torch.pi * 8 * t)
-    truth = (low + high).expand(300, 2, 3)
-    edges = [0.0, 4.0, 12.0, 15.1]
-    ratio = metrics.power_spectrum_ratio(2 * truth, truth, 30.0, edges)
-    torch.testing.assert_close(ratio, torch.full((3,), 4.0, dtype=F64))
-    smooth = metrics.power_spectrum_ratio(low.expand(300, 2, 3), truth, 30.0, edges)
-    assert abs(smooth[0] - 1) < 1e-3 and smooth[1] < 1e-3
-    noisy = metrics.power_spectrum_ratio(truth + 0.01 * walks(generator, 300, 2), truth, 30.0, edges)
-    assert abs(noisy[0] - 1) < 0.1 and noisy[2] > 10
-    assert metrics.power_spectrum_ratio(truth, truth, 30.0, [20.0, 30.0]).isnan().all()  # beyond Nyquist
 
 
 def naive_skating(feet, fps):
@@ -158,5 +143,3 @@ def test_wrong_names_and_shapes_other_than_the_truths_are_refused(generator):
             metrics.mpjpe(predicted, truth, align="none")
         with pytest.raises(ShapeError, match="truth"):
             metrics.acceleration_error(predicted, truth, 30.0)
-        with pytest.raises(ShapeError, match="truth"):
-            metrics.power_spectrum_ratio(predicted, truth, 30.0, [0.0, 5.0])

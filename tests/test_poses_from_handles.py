@@ -60,7 +60,5 @@ def test_what_cannot_be(model, truth):
     places, which = truth.positions[:, 0], people.handles(3, 24, seeded())
     with pytest.raises(ShapeError, match="targets"):
         model.complete(places[:, :5], which)
-    with pytest.raises(ShapeError, match="bool"):
-        model.complete(places, which.float())
     with pytest.raises(DataError, match="not finite"):
         model.complete(torch.full_like(places, torch.inf), which)

@@ -16,7 +16,6 @@ al. 2017; Xiong et al. 2020).
 import math
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -71,11 +70,6 @@ class CompleterRecipe:
     average: float = 0.999
     seed: int = 0
 
-    @classmethod
-    def read(cls, content: dict) -> Self:
-        """Reads a recipe from ``asdict``, as JSON gives it back."""
-        return cls(**content | {"kinds": tuple((name, odds) for name, odds in content["kinds"])})
-
 
 class Completer(nn.Module):
     """Guessed states (B, T, ``SIZE``), units known (B, T, ``UNITS``) -> what to add (B, T, ``MADE``), in unit sizes.
@@ -88,8 +82,6 @@ class Completer(nn.Module):
 
     def __init__(self, recipe: CompleterRecipe) -> None:
         super().__init__()
-        if recipe.frames % recipe.patch:
-            raise ValueError(f"{recipe.frames} frames do not divide into tokens of {recipe.patch}")
         self.recipe, size = recipe, recipe.size
         self.taken = nn.Linear((SIZE + UNITS + _TIMES) * recipe.patch, size)
         if recipe.diffusion:
@@ -189,11 +181,8 @@ class Completer(nn.Module):
             ShapeError: windows of another length. ValueError: draws from a model without noise; one that ``refines``
                 and is not told how much joints trembled, or another one that is.
         """
-        if generator is not None and not self.recipe.diffusion:
-            raise ValueError("this model has one answer and draws none")
-        if self.recipe.refines != (tremble is not None):
-            told = "expected a size" if self.recipe.refines else "only a model that refines is told of it"
-            raise ValueError(f"tremble: {told}")
+        if (generator is not None and not self.recipe.diffusion) or self.recipe.refines != (tremble is not None):
+            raise ValueError("generator: of a model by diffusion alone; tremble: of one that refines, and of no other")
         if motion.contacts is None:
             none = motion.root.new_zeros(*motion.root.shape[:-1], len(STANDARD.contact_names))
             motion, known = replace(motion, contacts=none), known.clone()
@@ -202,11 +191,8 @@ class Completer(nn.Module):
         parts = []
         for at in torch.arange(len(motion.root)).split(batch):
             some = local.clip(at), known[at]
-            if generator is not None:
-                parts.append(self._drawn(*some, generator, steps))
-                continue
             size = None if tremble is None else torch.full((len(at),), tremble).to(local.root)
-            parts.append(self.filled(*some, tremble=size))
+            parts.append(self._drawn(*some, generator, steps) if generator else self.filled(*some, tremble=size))
         root, rot, contacts = (torch.cat([getattr(p, name) for p in parts]) for name in ("root", "rot", "contacts"))
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
         contacts = torch.where(known[..., -1:], motion.contacts, world.contacts)
@@ -270,8 +256,7 @@ def time_to_known(known: Tensor, fps: float) -> Tensor:
 
 def save(path: Path | str, model: Completer, about: dict) -> None:
     """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json), with ``about`` beside it."""
-    tensors = {n: x if n in ("mean", "scale") else x.half() for n, x in model.state_dict().items()}
-    checkpoint.save(path, tensors, about | {"recipe": asdict(model.recipe)})
+    checkpoint.save(path, model.state_dict(), about | {"recipe": asdict(model.recipe)}, exact=("mean", "scale"))
 
 
 def load(path: Path | str) -> Completer:
@@ -284,4 +269,4 @@ def load(path: Path | str) -> Completer:
     path = path if Path(path).with_suffix(".safetensors").exists() else checkpoint.shipped(path)
     tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "completes no motions"):
-        return checkpoint.frozen(lambda: Completer(CompleterRecipe.read(about["recipe"])), tensors)
+        return checkpoint.frozen(lambda: Completer(CompleterRecipe(**about["recipe"])), tensors)

@@ -7,9 +7,8 @@ Source: FID's features are those of a trained network (Heusel et al. 2017; for m
 Differs: an autoencoder, as there are no labels; root and feet count as much as all other joints together.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import ClassVar
 
 import torch
@@ -74,15 +73,10 @@ class MotionEncoder(nn.Module):
     size), about unit size on training motion.
 
     mean (94,), scale (94,): of the signals, one scale per group. centre (size,), spread (size,): of the latent numbers.
-    digest: of the checkpoint; it stands beside every table, as numbers in other features do not compare.
     """
-
-    digest = ""
 
     def __init__(self, recipe: EncoderRecipe) -> None:
         super().__init__()
-        if recipe.frames % 4:
-            raise ShapeError(f"frames: expected a multiple of 4, got {recipe.frames}")
         self.recipe, numbers, width, short = recipe, sum(FEATURE_GROUPS.values()), recipe.width, recipe.frames // 4
         encoder = nn.Sequential(
             nn.Conv1d(numbers, width, 5, 2, 2), nn.GELU(), nn.Conv1d(width, width, 5, 2, 2), nn.GELU(),
@@ -107,26 +101,6 @@ class MotionEncoder(nn.Module):
         latent = torch.cat([self.network["encoder"](((signals(x) - self.mean) / self.scale).mT) for x in parts])
         return ((latent - self.centre) / self.spread).double()
 
-    def missed(self, motion: Motion) -> tuple[Tensor, Tensor]:
-        """Computes normalised signals (N, T, 94) of windows, and squares of what the latent numbers miss of them."""
-        x = (signals(motion) - self.mean) / self.scale
-        return x, (self.network["decoder"](self.network["encoder"](x.mT)).mT - x).square()
-
-    @torch.no_grad()
-    def reconstruction_error(self, motion: Motion) -> dict[str, float]:
-        """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
-        x, wrong = self.missed(motion)
-        total = (x - x.mean((0, 1))).square()
-        groups = (each.split(list(FEATURE_GROUPS.values()), -1) for each in (wrong, total))
-        parts = zip(FEATURE_GROUPS, *groups, strict=True)
-        return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
-
-
-def save_encoder(path: Path | str, features: MotionEncoder, about: dict) -> None:
-    """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
-    tensors = {n: x.half() if n.startswith("network.") else x for n, x in features.state_dict().items()}
-    checkpoint.save(path, tensors, about | {"recipe": asdict(features.recipe)})
-
 
 @cache
 def motion_encoder(name: str = "features_real") -> MotionEncoder:
@@ -138,6 +112,4 @@ def motion_encoder(name: str = "features_real") -> MotionEncoder:
     path = checkpoint.shipped(name).with_suffix(".safetensors")
     tensors, about = checkpoint.load(path)
     with checkpoint.rebuilding(path, "not a feature autoencoder"):
-        features = checkpoint.frozen(lambda: MotionEncoder(EncoderRecipe(**about["recipe"])), tensors)
-    features.digest = about["sha256"][:12]
-    return features
+        return checkpoint.frozen(lambda: MotionEncoder(EncoderRecipe(**about["recipe"])), tensors)

@@ -75,8 +75,7 @@ class Layout:
             parts |= {"root_vel": _change(motion.root, motion.fps), "rot_vel": _change(sixd.flatten(-2), motion.fps)}
         if self.contacts:
             if motion.contacts is None:
-                remedy = "contact.with_contacts labels it"
-                raise DataError("a motion without contacts", place=motion.name, remedy=remedy)
+                raise DataError("motion without contacts", place=motion.name, remedy="contact.with_contacts labels it")
             parts["contacts"] = motion.contacts.to(motion.root)
         return torch.cat([parts[name] for name in self.slices], -1)
 

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from motionlab import checkpoint, rotation
-from motionlab.errors import DataError, ShapeError, check_shape
+from motionlab.errors import DataError, check_shape
 from motionlab.ik import reach_targets
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import STANDARD
@@ -94,12 +94,9 @@ class Poser(nn.Module):
         of free joints are not read.
 
         Raises:
-            DataError: a target that is not finite. ShapeError: other shapes.
+            DataError: a target that is not finite. ShapeError: targets of another shape.
         """
         count = check_shape(targets, f"B {_J} 3", "targets")["B"]
-        if which.shape != targets.shape[:-1] or which.dtype != torch.bool:
-            want = f"bool {tuple(targets.shape[:-1])}"
-            raise ShapeError(f"which: expected {want}, got {which.dtype} {tuple(which.shape)}")
         if not targets[which].isfinite().all():
             raise DataError("a target is not finite", place="targets", remedy="let that joint be free")
         return self.decode(self(targets, which, torch.zeros(count, NUMBERS), torch.full((count,), math.pi / 2)))

@@ -3,9 +3,8 @@
 
 Noising steps are counted from 0: step t has been noised t + 1 times, the thesis's t + 1. All tables are float64.
 
-A denoiser is any function (x_t (B, ...), stamps (B,)) -> x_0 estimate (B, ...). ``after`` is called as
-after(x_{t-1}, x_0 estimate, t) -> x_{t-1} behind every step, which is where known parts are put back. To inpaint, x is
-(B, T, D); a mask m is 1 where known (the thesis's 1 - m).
+A denoiser is any function (x_t (B, ...), stamps (B,)) -> x_0 estimate (B, ...). To inpaint, x is (B, T, D); a mask m
+is 1 where known (the thesis's 1 - m).
 
 Source: thesis Eqs. 4.1-4.7; Ho et al. 2020; Nichol and Dhariwal 2021; Song et al. 2021 (DDIM). Inpainting: thesis
 4.1.2, Eq. 4.10 (RePaint, EDGE: the known part noised to x_{t-1}), 4.2, 4.4.1; MDM (x_0 imputed); Ho et al. 2022,
@@ -25,7 +24,6 @@ from motionlab.baselines import nearest_known
 from motionlab.errors import ShapeError, check_shape
 
 DenoiseFunction = Callable[[Tensor, Tensor], Tensor]
-After = Callable[[Tensor, Tensor, int], Tensor]
 MOST = 0.999  # of the variance that one step may replace
 
 
@@ -92,6 +90,11 @@ class NoiseSchedule:
         stay = self._at(self.alpha.sqrt() * (1 - self.before) * scale, t, xt)
         return towards * x0 + stay * xt, self._at((1 - self.before) * self.beta * scale, t, xt)
 
+    def step_back(self, x0: Tensor, xt: Tensor, t: int, generator: torch.Generator) -> Tensor:
+        """Draws x_{t-1} (B, ...) of q(x_{t-1} | x_t, x_0), Eq. 4.6; in the last step it is the mean."""
+        mean, variance = self.posterior(x0, xt, t)
+        return mean + variance.sqrt() * noise_like(xt, generator) if t else mean
+
     def noise_of(self, x0: Tensor, xt: Tensor, t: Tensor | int) -> Tensor:
         """Computes the noise (B, ...) that turned x_0 into x_t."""
         a = self._at(self.alpha_bar, t, xt)
@@ -111,8 +114,6 @@ def cosine(steps: int = 1000, *, power: float = 2.0) -> NoiseSchedule:
     Source: Nichol and Dhariwal 2021, Eq. 17. Differs from the thesis, which prints the cosine without its square
     (``power=1``): then half of the signal's amplitude is left where it should be a quarter, and noise never wins.
     """
-    if steps < 1:
-        raise ValueError(f"steps: expected 1 or more, got {steps}")
     u = torch.arange(steps + 1, dtype=torch.float64) / steps
     f = ((u + 0.008) / (1 + 0.008) * (math.pi / 2)).cos().clamp(min=0) ** power
     beta = (1 - f[1:] / f[:-1]).clamp(max=MOST)
@@ -125,16 +126,11 @@ def noise_like(x: Tensor, generator: torch.Generator) -> Tensor:
 
 
 @torch.no_grad()
-def ddpm(
-    denoise: DenoiseFunction, schedule: NoiseSchedule, x: Tensor, generator: torch.Generator, *,
-    after: After | None = None,
-) -> Tensor:  # fmt: skip
-    """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6; none in the last step."""
+def ddpm(denoise: DenoiseFunction, schedule: NoiseSchedule, x: Tensor, generator: torch.Generator) -> Tensor:
+    """Draws samples (B, ...) of p(x_0) by x_{t-1} ~ q(x_{t-1} | x_t, x_0 estimate), Eq. 4.6."""
     for t in range(len(schedule) - 1, -1, -1):
         x0 = denoise(x, schedule.stamps[t].to(x.device).expand(len(x)))
-        mean, variance = schedule.posterior(x0, x, t)
-        x = mean + variance.sqrt() * noise_like(x, generator) if t else mean
-        x = after(x, x0, t) if after else x
+        x = schedule.step_back(x0, x, t, generator)
     return x
 
 
@@ -163,61 +159,39 @@ class Inpainting:
     blend_frames: int = 0
 
 
+@torch.no_grad()
 def inpaint(
     denoise: DenoiseFunction, schedule: NoiseSchedule, x0: Tensor, known: Tensor, generator: torch.Generator,
     how: Inpainting,
 ) -> Tensor:  # fmt: skip
     """Draws samples (B, T, D) that keep x0 (B, T, D) where ``known``, bool (B, T, D) or (T, D), holds.
 
-    How exactly x0 is kept is up to ``how``; elsewhere it is never read.
+    How exactly x0 is kept is up to ``how``; elsewhere it is never read. Behind every step the known part is replaced by
+    itself, noised to that step; behind the last one it is exact, which is the cause of the seam. By guidance it is
+    imputed in the x_0 estimate, whose rest is less weight sqrt(alpha_bar) / 2 times the gradient in x_t of |m (x_0
+    estimate - known)|^2, so that it moves to where the network's own estimate agrees with what is known.
     """
     if known.shape[-2:] != x0.shape[-2:] or known.ndim > x0.ndim:
         raise ShapeError(f"known: expected {tuple(x0.shape[-2:])} or {tuple(x0.shape)}, got {tuple(known.shape)}")
     seen, m, schedule = torch.where(known, x0, 0.0), known.to(x0), schedule.respaced(min(how.steps, len(schedule)))
     if how.mask_ramp:
         seen, m = _softened(seen, known, how.mask_ramp)
-    if how.guidance_weight:
-        inner, after = _guided(denoise, schedule, seen, m, how.guidance_weight), None
-    else:
-        inner, after = denoise, _replace(schedule, seen, m, generator, last=how.replace_last)
-
-    def estimate(x: Tensor, stamps: Tensor) -> Tensor:  # the network may have the last word (CondMDI)
-        return (inner if how.replace_last or int(stamps[0]) != int(schedule.stamps[0]) else denoise)(x, stamps)
-
-    x = ddpm(estimate, schedule, noise_like(x0, generator), generator, after=after)
+    x = noise_like(x0, generator)
+    for t in range(len(schedule) - 1, -1, -1):
+        stamps = schedule.stamps[t].to(x.device).expand(len(x))
+        free = t == 0 and not how.replace_last  # the network may have the last word (CondMDI)
+        with torch.set_grad_enabled(guided := how.guidance_weight > 0 and not free):
+            at = x.detach().requires_grad_(guided)
+            estimate = denoise(at, stamps)
+            if guided:
+                (slope,) = torch.autograd.grad((m * (estimate - seen)).square().sum(), at)
+        if guided:
+            weight = how.guidance_weight * schedule.alpha_bar[t].to(x).sqrt() / 2
+            estimate = (1 - m) * (estimate.detach() - weight * slope) + m * seen
+        x = schedule.step_back(estimate, x, t, generator)
+        if not free and not guided:
+            x = (1 - m) * x + m * schedule.noised(seen, t - 1, noise_like(seen, generator))
     return offset_decay(x, seen, known, how.blend_frames) if how.blend_frames else x
-
-
-def _replace(
-    schedule: NoiseSchedule, known: Tensor, m: Tensor, generator: torch.Generator, *, last: bool = True
-) -> After:
-    """Eq. 4.10: behind every step the known part is replaced by itself, noised to that step. last: also behind the last
-    step, where it is not noised any more: exact, and the cause of the seam. m may be soft."""
-
-    def after(x: Tensor, x0: Tensor, t: int) -> Tensor:
-        if t == 0 and not last:
-            return x
-        return (1 - m) * x + m * schedule.noised(known, t - 1, noise_like(known, generator))
-
-    return after
-
-
-def _guided(
-    denoise: DenoiseFunction, schedule: NoiseSchedule, known: Tensor, m: Tensor, weight: float
-) -> DenoiseFunction:
-    """Known parts imputed; the rest of the x_0 estimate less weight sqrt(alpha_bar) / 2 times the gradient in x_t of
-    |m (x_0 estimate - known)|^2, so that it moves to where the network's own estimate agrees with what is known."""
-    level = dict(zip(schedule.stamps.tolist(), schedule.alpha_bar.tolist(), strict=True))
-
-    def better(x: Tensor, stamps: Tensor) -> Tensor:
-        with torch.enable_grad():
-            at = x.detach().requires_grad_()
-            x0 = denoise(at, stamps)
-            (slope,) = torch.autograd.grad((m * (x0 - known)).square().sum(), at)
-        a = x.new_tensor([level[int(t)] for t in stamps]).reshape(-1, *(1,) * (x.ndim - 1))
-        return (1 - m) * (x0.detach() - weight * a.sqrt() / 2 * slope) + m * known
-
-    return better
 
 
 def offset_decay(x: Tensor, known: Tensor, m: Tensor, frames: int) -> Tensor:

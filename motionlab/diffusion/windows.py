@@ -54,19 +54,17 @@ class Windows:
     def drawn(self, count: int, generator: torch.Generator) -> tuple[Motion, Tensor]:
         """Draws windows as :meth:`draw`, and returns the motions (count,) that they are of, too."""
         begin = self._begins(count, generator)
-        motion = self._cut(begin)
-        if not self.mirrored:
-            return motion, self.clip[begin]
-        flip, other = torch.rand(count, generator=generator) < 0.5, mirror(motion)
-
-        def either(a: Tensor, b: Tensor) -> Tensor:
-            return torch.where(flip.reshape(-1, *(1,) * (a.ndim - 1)), a, b)
-
-        contacts = None if motion.contacts is None else either(other.contacts, motion.contacts)
-        offsets = either(other.skeleton.offsets, motion.skeleton.offsets)
-        root, rot = either(other.root, motion.root), either(other.rot, motion.rot)
-        skeleton = replace(motion.skeleton, offsets=offsets)
-        return replace(motion, skeleton=skeleton, root=root, rot=rot, contacts=contacts), self.clip[begin]
+        motion, clips = self.cut(begin), self.clip[begin]
+        if self.mirrored:
+            flip = torch.rand(count, generator=generator) < 0.5
+            other = mirror(motion.clip(flip))
+            for mine, seen in (
+                (motion.root, other.root), (motion.rot, other.rot), (motion.contacts, other.contacts),
+                (motion.skeleton.offsets, other.skeleton.offsets),
+            ):  # fmt: skip
+                if mine is not None:
+                    mine[flip] = seen
+        return motion, clips
 
     def _begins(self, count: int, generator: torch.Generator) -> Tensor:
         if self.people is None:
@@ -85,10 +83,10 @@ class Windows:
 
     def evenly(self, count: int) -> Motion:
         """Returns at most ``count`` windows, evenly over all begins, none mirrored: the same at every call."""
-        count = min(count, len(self.begins))
-        return self._cut(self.begins[torch.linspace(0, len(self.begins) - 1, count).round().long()])
+        return self.cut(spread(self.begins, count))
 
-    def _cut(self, begin: Tensor) -> Motion:
+    def cut(self, begin: Tensor) -> Motion:
+        """Returns the windows (B, length) that begin at these frames (B,)."""
         at = begin[:, None] + torch.arange(self.length)
         skeleton = replace(STANDARD, offsets=self.offsets[self.clip[begin]][:, None])
         contacts = None if self.contacts is None else self.contacts[at]
@@ -101,6 +99,11 @@ class Windows:
         for x in (self.root, self.rot, self.contacts, self.offsets, self.clip, self.seen, self.people):
             whole.update(b"" if x is None else x.numpy().tobytes())
         return whole.hexdigest()[:16]
+
+
+def spread(items: Tensor, count: int) -> Tensor:
+    """Returns at most ``count`` items (N,), evenly from the first to the last."""
+    return items[torch.linspace(0, len(items) - 1, min(count, len(items))).round().long()]
 
 
 def gather(
@@ -116,8 +119,6 @@ def gather(
         DataError: no motion is that long; frame rates differ; some have contacts and some not; numbers are not finite.
         ShapeError: a motion is not on the 22 joints, or has batch axes.
     """
-    if length < 1:
-        raise ValueError(f"length: expected 1 frame or more, got {length}")
     every = zip(motions, missing or [()] * len(motions), people or [""] * len(motions), strict=True)
     long = [row for row in every if row[0].frames >= length]
     if not long:
@@ -126,16 +127,12 @@ def gather(
     for m in used:
         if m.skeleton.names != STANDARD.names or m.rot.ndim != 4:
             raise ShapeError(f"{m.name or 'motion'}: expected one clip on the 22 joints; retarget first")
-        if m.fps != used[0].fps:
-            remedy = "motion.resample brings them to one"
-            raise DataError(f"frame rates of {used[0].fps:g} and {m.fps:g}", place=m.name, remedy=remedy)
-        if (m.contacts is None) != (used[0].contacts is None):
-            remedy = "contact.with_contacts labels a motion"
-            raise DataError("some motions have contacts and some not", place=m.name, remedy=remedy)
+        if m.fps != used[0].fps or (m.contacts is None) != (used[0].contacts is None):
+            remedy = "motion.resample, contact.with_contacts"
+            raise DataError("another frame rate than the first, or only one has contacts", place=m.name, remedy=remedy)
         if not (m.root.isfinite().all() and m.rot.isfinite().all()):
             raise DataError("numbers that are not finite", place=m.name, remedy="leave this motion out")
-    seen = torch.tensor([[name not in names for name in STANDARD.names] for names in lacks]) if any(lacks) else None
-    seen = None if seen is None else seen & seen[:, STANDARD.mirror_indices]
+    seen = torch.tensor([[name not in names for name in STANDARD.names] for names in lacks])
     numbers = {name: k for k, name in enumerate(dict.fromkeys(whose))}
     counts = torch.tensor([m.frames for m in used])
     starts = counts.cumsum(0) - counts
@@ -149,7 +146,7 @@ def gather(
         length=length,
         fps=used[0].fps,
         mirrored=mirrored,
-        seen=seen,
+        seen=seen & seen[:, STANDARD.mirror_indices] if any(lacks) else None,
         people=None if people is None else torch.tensor([numbers[name] for name in whose]),
     )
 

@@ -103,7 +103,7 @@ class ChainTraining(TrainingRun):
     model to begin from; else z begins as the principal components of the change (:func:`begun_linear`)."""
 
     least = 0.01
-    reads = staticmethod(lambda content: ChainRecipe(**content))
+    Recipe = ChainRecipe
 
     def __init__(self, recipe: ChainRecipe, windows: Windows, start: Cvae | None = None) -> None:
         if windows.length != recipe.length + 2:

@@ -25,14 +25,12 @@ _WEIGHTS = {"places": 5.0, "moves": 10.0, "rotations": 1.0, "contacts": 0.3}
 _SQUARED = {"places": 1 / 0.2, "moves": 1 / 0.03}  # per metre
 _SILENT = 0.3  # of windows: contacts are told nowhere, as of motion that nobody labelled
 _ROUGH = (8.0, 4.0)  # degrees, centimetres of noise, at most
-_EVERY = torch.ones(features.UNITS, dtype=torch.bool)
 
 
 class CompleterTraining(TrainingRun):
     """A training run of a completer. start: the model to begin from, with its sizes of numbers; None: new weights."""
 
-    give_up = 20
-    reads = CompleterRecipe.read
+    Recipe = CompleterRecipe
 
     def __init__(self, recipe: CompleterRecipe, windows: Windows, start: Completer | None = None) -> None:
         self.windows = windows
@@ -55,7 +53,7 @@ class CompleterTraining(TrainingRun):
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
         recipe = self.recipe
         motion, clips = self.windows.drawn(recipe.batch, self.generator)
-        seen = _EVERY.repeat(len(clips), 1)
+        seen = torch.ones(recipe.batch, features.UNITS, dtype=torch.bool)
         if self.windows.seen is not None:
             seen[:, :-2] = self.windows.seen[clips]
         if recipe.refines:

@@ -11,7 +11,7 @@ import contextlib
 import hashlib
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -30,8 +30,8 @@ from motionlab.diffusion.completer import KINDS, Completer, CompleterRecipe
 from motionlab.diffusion.model import DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import DataError
+from motionlab.humor import state
 from motionlab.humor.priors import Cvae, from_weights, official_weights
-from motionlab.motion import Motion
 from motionlab.training import recipes
 from motionlab.training.chain_training import ChainRecipe, ChainTraining
 from motionlab.training.completer_training import CompleterTraining
@@ -40,7 +40,6 @@ from motionlab.training.quality import quality_row
 from motionlab.training.training_loop import TrainingRun, fast_halves
 
 _EACH = 12  # windows of each validation person
-LEGS_AND_GAPS = "legs and gaps, cm"  # the mean of the first three cases: error, or energy score of draws
 _JUDGED_BY = ("legs hidden", "gap of 30 frames", "gap of 45 frames")
 _DRAWS = 3
 _NOISES = ((1.0, 0.5), (2.0, 1.0), (5.0, 2.0))  # degrees of joints, centimetres of the root
@@ -51,7 +50,7 @@ ASKED = {
     "one step, prior mean": 0.75, "one step, posterior": 0.25, "2 s, posterior z, cm": 5.0, "2 s, closed loop, cm": 2.0,
 }  # fmt: skip
 _BODIES = "own bones", "standard body"
-_MOST = 8  # windows of two seconds of each validation person
+_WINDOW, _MOST = 61, 8  # frames of a window of two seconds; windows of each validation person
 
 
 def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) -> tuple[Windows, list[Take]]:
@@ -75,12 +74,14 @@ def learnt_from(folder: Path | str | None, frames: int, *, own: bool = False) ->
 
 def person_states(takes: Sequence[Take], most: int) -> dict[str, tuple[Tensor, Tensor]]:
     """Returns what a prior is judged on: states (W, 61, 339), their velocities of the past, and contacts (W, 61, 9) of
-    each person, at most so many windows."""
-    people: dict[str, list[Motion]] = {}
+    each person, at most so many windows, evenly through their takes."""
+    cuts: dict[str, list[tuple[Tensor, Tensor]]] = {}
     for take in takes:
-        people.setdefault(take.person, []).append(take.motion)
-    found = {who: splits.state_windows(motions, most=most) for who, motions in people.items()}
-    return {who: windows for who, windows in found.items() if len(windows[0])}
+        whole = state.from_motion(take.motion, causal=True).float(), take.motion.contacts.float()
+        starts = range(0, take.motion.frames - _WINDOW + 1, _WINDOW)
+        cuts.setdefault(take.person, []).extend(tuple(x[i : i + _WINDOW] for x in whole) for i in starts)
+    some = {who: zip(*splits.subsample(mine, most), strict=True) for who, mine in cuts.items() if mine}
+    return {who: tuple(torch.stack(x) for x in pairs) for who, pairs in some.items()}
 
 
 class Course:
@@ -132,19 +133,17 @@ class CompleterCourse(Course):
         over their error. And accelerations over the truth's."""
         if model.recipe.refines:
             return _of_noise(model, self.held)
-        row, noised = {}, model.recipe.diffusion
-        for name in _JUDGED_BY if noised else CASES:
-            draws = torch.Generator().manual_seed(0) if noised else None
-            fill = partial(model.complete, generator=draws)
-            each = judged(fill, CASES[name], self.held, draws=_DRAWS if noised else 1)
-            if noised:
-                row[f"{name}, energy score, cm"] = float(each["score"].mean())
-                row[f"{name}, spread over error"] = float((each["spread"] / each["cm"]).mean())
-            else:
-                row[f"{name}, cm"] = float(each["cm"].mean())
-            row[f"{name}, acceleration over the truth's"] = float(each["acceleration"].mean())
+        row, draws = {}, _DRAWS if model.recipe.diffusion else 1
+        for name in CASES if draws == 1 else _JUDGED_BY:
+            fill = partial(model.complete, generator=None if draws == 1 else torch.Generator().manual_seed(0))
+            each = judged(fill, CASES[name], self.held, draws=draws)
+            found = {"cm": each["cm"]}
+            if draws > 1:
+                found = {"energy score, cm": each["score"], "spread over error": each["spread"] / each["cm"]}
+            found["acceleration over the truth's"] = each["acceleration"]
+            row |= {f"{name}, {what}": float(x.mean()) for what, x in found.items()}
         aims = [x for name, x in row.items() if name.startswith(_JUDGED_BY) and name.endswith(", cm")]
-        return {LEGS_AND_GAPS: sum(aims) / len(aims)} | row
+        return {"legs and gaps, cm": sum(aims) / len(aims)} | row
 
 
 def _of_noise(model: Completer, windows: PersonWindows) -> dict[str, float]:
@@ -204,9 +203,7 @@ class PriorCourse(Course):
 
     def save(self, out: Path, model: Cvae, about: dict) -> None:
         """Weights as float16, but those of linear layers that begin as something exact."""
-        tensors = official_weights(model).items()
-        exact = ("skip", "direct")
-        checkpoint.save(out, {n: x if n.startswith(exact) else x.half() for n, x in tensors}, about)
+        checkpoint.save(out, official_weights(model), about, exact=("skip", "direct"))
 
     def measured(self, model: Cvae) -> dict[str, float]:
         """``quality_row`` on either body, a mean over people, and first the mean of what was asked over ``ASKED``."""
@@ -234,23 +231,35 @@ COURSES = {
 }  # fmt: skip
 
 
-def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500, schedules: int | None = None) -> None:
-    """Trains, and writes to ``out`` what is better than what stands there, until Ctrl-C.
+def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500) -> Iterator[TrainingRun]:
+    """Trains without end, and writes to ``out`` what is better than what stands there; gives the run after each
+    schedule.
 
     more: go on from the kept state, or from ``out``; False: new weights. every: steps between two judgements; the state
-    is kept ten times as often. schedules: how many; None: no end.
+    is kept ten times as often.
 
     Raises:
         DataError: ``out`` is of another kind of model.
     """
-    best, there, behind, kept = math.inf, None, 0, _kept(course.name, out)
+    best, there, about, kept, run = math.inf, None, {}, _kept(course.name, out), None
     if out.with_suffix(".safetensors").exists():
-        there, behind = course.load(Path(out)), checkpoint.read_recipe(out).get("step", 0)
+        there, about = course.load(out), checkpoint.read_recipe(out)
         best = next(iter(course.measured(there).values()))
         print(f"{out.with_suffix('.safetensors')}: {best:.3f}", flush=True)
-    run = _run(course, kept, there if more else None, more)
-    if more and there and not run.step:
-        run.earlier, run.curve = behind, checkpoint.read_recipe(out).get("curve", [])
+    behind = about.get("step", 0)
+    if more and kept.exists():
+        try:
+            run = course.trainer.resume(kept, course.windows)
+            print(f"goes on at step {run.step} of {run.recipe.steps}, as it was begun: {kept}", flush=True)
+        except DataError as error:
+            print(f"begins anew: {error}", flush=True)
+    if run is None:
+        if kept.exists():
+            kept.replace(kept.with_suffix(".old"))
+        first = there if more else None
+        run = course.begun(replace(course.recipe, lr=course.recipe.lr / 2) if first else course.recipe, first)
+        if first:
+            run.earlier, run.curve = behind, about.get("curve", [])
 
     def judge(model: Any) -> dict[str, float]:
         nonlocal best, there, behind
@@ -262,14 +271,10 @@ def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500, sc
         return row
 
     while True:
-        run.run(keep=kept, every=max(every // 10, 1), judge=judge, judge_every=every, progress=True)
-        schedules = None if schedules is None else schedules - 1
-        if schedules == 0:
-            return
-        first, steps = (there, behind) if more else (run.shipped, run.earlier + run.best["step"])
+        yield run.run(keep=kept, every=max(every // 10, 1), judge=judge, judge_every=every, progress=True)
         before, again = run, replace(run.recipe, lr=run.recipe.lr / 2, seed=run.recipe.seed + 1)
-        run = course.begun(again, first)
-        run.curve, run.earlier = before.curve, steps
+        run = course.begun(again, there)
+        run.curve, run.earlier = before.curve, behind
 
 
 def _kept(name: str, out: Path) -> Path:
@@ -278,21 +283,6 @@ def _kept(name: str, out: Path) -> Path:
     folder = corpus.cache_folder().with_name("training")
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f"{name}-{where}.partial.pt"
-
-
-def _run(course: Course, kept: Path, there: Any, more: bool) -> TrainingRun:
-    """The kept run where there is one on these windows; else a new one. A kept run that is not gone on with is put
-    aside."""
-    if more and kept.exists():
-        try:
-            run = course.trainer.resume(kept, course.windows)
-            print(f"goes on at step {run.step} of {run.recipe.steps}, as it was begun: {kept}", flush=True)
-            return run
-        except DataError as error:
-            print(f"begins anew: {error}", flush=True)
-    if kept.exists():
-        kept.replace(kept.with_suffix(".old"))
-    return course.begun(replace(course.recipe, lr=course.recipe.lr / 2) if there else course.recipe, there)
 
 
 def _about(course: Course, run: TrainingRun, row: dict[str, float]) -> dict:
@@ -315,9 +305,8 @@ def run(options: argparse.Namespace) -> int:
     if options.more and name not in COURSES:
         raise DataError(f"{name} takes no --more", remedy=f"it is for {', '.join(COURSES)}")
     if name == "small":
-        data, out = recipes.real_motions(options.data), out or checkpoint.SHIPPED
-        recipes.make_pose_prior(data, out, seed=options.seed, steps=options.steps or recipes.STEPS)
-        recipes.make_init_gmm(data, out, seed=options.seed)
+        how = {"seed": options.seed, "steps": options.steps or recipes.STEPS}
+        recipes.make_small(options.data, out or checkpoint.SHIPPED, **how)
         return 0
     kind, recipe = COURSES[name]
     recipe = replace(recipe, seed=options.seed, steps=options.steps or recipe.steps)
@@ -327,7 +316,8 @@ def run(options: argparse.Namespace) -> int:
             os.nice(19)
             if os.getsid(0) == os.getpid():  # Linux weighs sessions first
                 Path("/proc/self/autogroup").write_text("19", encoding="ascii")
-        go_on(course, out or checkpoint.SHIPPED / name, more=options.more, every=every)
+        for _ in go_on(course, out or checkpoint.SHIPPED / name, more=options.more, every=every):
+            pass
     except KeyboardInterrupt:
         print("stopped; the same command with --more goes on")
     return 0

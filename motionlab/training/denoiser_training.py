@@ -9,7 +9,6 @@ decay, clipped gradients; what ships is a moving average (MDM: chosen by FID, by
 the run's generator; gradients not finite are skipped.
 """
 
-from collections.abc import Collection
 from dataclasses import replace
 
 import torch
@@ -19,7 +18,7 @@ from motionlab.diffusion.features import Layout, Normaliser, units
 from motionlab.diffusion.model import Denoiser, DenoiserRecipe, MotionDiffusion
 from motionlab.diffusion.sampling import noise_like
 from motionlab.diffusion.windows import Windows
-from motionlab.errors import DataError, check_shape
+from motionlab.errors import DataError
 from motionlab.motion import FPS
 from motionlab.skeleton import STANDARD
 from motionlab.training.training_loop import TrainingRun, seeded
@@ -30,13 +29,11 @@ _MEASURED = 2000  # windows that the normaliser is measured on
 class DenoiserTraining(TrainingRun):
     """A training run of a denoiser. start: the model to begin from, with its normaliser; None: new weights."""
 
-    give_up = 20
-    reads = DenoiserRecipe.read
+    Recipe = DenoiserRecipe
 
     def __init__(self, recipe: DenoiserRecipe, windows: Windows, start: MotionDiffusion | None = None) -> None:
         if windows.length != recipe.frames or windows.fps != FPS:
-            message = f"windows of {windows.length} frames at {windows.fps:g} fps; expected {recipe.frames} at {FPS:g}"
-            raise DataError(message, remedy="gather windows of the recipe's length from motions at 30 fps")
+            raise DataError(f"windows of {windows.length} frames at {windows.fps:g} fps: not {recipe.frames} at 30")
         self.windows, self.layout, self.schedule, self.clip = windows, recipe.layout, recipe.schedule, recipe.clip
         model = seeded(recipe.seed, recipe.denoiser)
         if start is None:
@@ -67,19 +64,18 @@ class DenoiserTraining(TrainingRun):
         with torch.random.fork_rng(devices=[]), torch.autocast("cpu", torch.bfloat16, recipe.bf16):
             torch.manual_seed(seed)  # dropout draws from torch's own generator
             estimate = self.model(xt, self.schedule.stamps[t]).float()
-        weights, seen = {name: weight for name, weight in recipe.weights.items() if weight}, None
+        seen = None
         if self.windows.seen is not None:
             whole = torch.ones(len(clips), 2, dtype=torch.bool)  # the root's place, contacts
             seen = torch.cat((self.windows.seen[clips], whole), 1)[:, units(self.layout)]
         offsets = motion.skeleton.offsets[:, 0]
-        parts = denoising_losses(estimate, x0, self.layout, self.normaliser, offsets, parts=weights, seen=seen)
-        return sum(weight * parts[name] for name, weight in weights.items()), parts
+        parts = denoising_losses(estimate, x0, self.layout, self.normaliser, offsets, seen)
+        return sum(weight * parts[name] for name, weight in recipe.weights.items() if weight), parts
 
 
 def denoising_losses(
-    estimate: Tensor, truth: Tensor, layout: Layout, normaliser: Normaliser, offsets: Tensor, *,
-    parts: Collection[str] = ("simple", "fk", "velocity", "contact"), seen: Tensor | None = None,
-) -> dict[str, Tensor]:  # fmt: skip
+    estimate: Tensor, truth: Tensor, layout: Layout, normaliser: Normaliser, offsets: Tensor, seen: Tensor | None = None
+) -> dict[str, Tensor]:
     """Computes the training losses by name, each a mean over windows and frames.
 
     simple: mean square of normalised numbers. velocity: of their change between frames, root and rotations only.
@@ -89,27 +85,16 @@ def denoising_losses(
     Args:
         estimate, truth: x_0 (B, T, D), normalised. offsets: (B or 1, J, 3) metres, the bodies'. seen: (B, D), False for
             numbers that were not recorded: the truth stands in for them, so that no part learns from them.
-    Raises:
-        ShapeError: the rows are not the layout's.
     """
-    check_shape(estimate, f"B T {layout.size}", "estimate")
-    check_shape(truth, f"B T {layout.size}", "truth")
     if seen is not None:
         estimate = torch.where(seen[:, None], estimate, truth)
-    error, found = estimate - truth, {}
-    if "simple" in parts:
-        found["simple"] = error.square().mean()
-    if "velocity" in parts:
-        found["velocity"] = error[..., : layout.slices["pose"].stop].diff(dim=1).square().mean()
-    if not {"fk", "contact"} & set(parts):
-        return found
-    skeleton, rows = replace(STANDARD, offsets=offsets[:, None]), normaliser.undo(estimate)
-    joints = layout.decode(rows, 1.0, skeleton).positions
-    if "fk" in parts:
-        true = layout.decode(normaliser.undo(truth), 1.0, skeleton).positions
-        found["fk"] = (joints - true).square().sum((-1, -2)).mean()
-    if "contact" in parts:
-        sure = rows[:, :-1, layout.slices["contacts"], None].clamp(0, 1)
-        way = joints[..., skeleton.contact_indices, :].diff(dim=1)
-        found["contact"] = (way * sure).square().sum((-1, -2)).mean()
-    return found
+    error, skeleton, rows = estimate - truth, replace(STANDARD, offsets=offsets[:, None]), normaliser.undo(estimate)
+    joints, true = (layout.decode(x, 1.0, skeleton).positions for x in (rows, normaliser.undo(truth)))
+    sure = rows[:, :-1, layout.slices["contacts"], None].clamp(0, 1)
+    way = joints[..., skeleton.contact_indices, :].diff(dim=1)
+    return {
+        "simple": error.square().mean(),
+        "velocity": error[..., : layout.slices["pose"].stop].diff(dim=1).square().mean(),
+        "fk": (joints - true).square().sum((-1, -2)).mean(),
+        "contact": (way * sure).square().sum((-1, -2)).mean(),
+    }

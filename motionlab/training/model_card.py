@@ -24,8 +24,8 @@ _SHOWN = (
 _PAGE = Path(__file__).with_name("model_card.md")
 
 
-def write_readme() -> Path:
-    """Writes ``checkpoints/README.md``: the models, and how they do; returns its path."""
+def run(options: argparse.Namespace) -> int:
+    """``models``: writes the table."""
     recipes = {path.stem: checkpoint.read_recipe(path) for path in sorted(checkpoint.SHIPPED.glob("*.json"))}
     found = {name: recipe[REPORT] for name, recipe in recipes.items() if REPORT in recipe}
     rows, contest = defaultdict(dict), {}
@@ -45,11 +45,6 @@ def write_readme() -> Path:
         prior_rows={name: rows[name] for name in shown},
         makers=makers, maker_rows={name: row for name, row in rows.items() if {*makers} & {*row}},
     )  # fmt: skip
-    write_whole(checkpoint.SHIPPED / "README.md", f"{text}\n")
-    return checkpoint.SHIPPED / "README.md"
-
-
-def run(options: argparse.Namespace) -> int:
-    """``models``: writes the table."""
-    print(write_readme())
+    write_whole(path := checkpoint.SHIPPED / "README.md", f"{text}\n")
+    print(path)
     return 0

@@ -26,17 +26,19 @@ def _error(a: Tensor, b: Tensor) -> Tensor:
 @torch.no_grad()
 def one_step_errors(model: Cvae, states: Tensor) -> dict[str, Tensor]:
     """Errors (N,) in cm of all transitions of world states (W, T, 339): z from the posterior's and the prior's mean,
-    the pose held, and every joint going on at its velocity; "kl": nats (N, 48)."""
+    the pose held, and every joint going on at its velocity; "kl": nats (N, 48), "contacts": logits (N, 9), by the
+    posterior, which saw the answer."""
     past, now = (x.flatten(0, -2) for x in transition_pairs(states))
     q, p = model.posterior(past, now), model.prior(past)
     ahead = unpack(past)["joints"] + unpack(past)["joints_vel"] / FPS
+    told, contacts = apply(past, model.decode(past, q.mean))
     return {
-        "posterior": _error(apply(past, model.decode(past, q.mean))[0], now),
+        "posterior": _error(told, now),
         "prior mean": _error(apply(past, model.decode(past, p.mean))[0], now),
         "hold": _error(past, now),
         "constant velocity": 100 * (ahead - unpack(now)["joints"]).norm(dim=-1).mean(-1),
-        "kl": kl(q, p),
-    }
+        "kl": kl(q, p), "contacts": contacts,
+    }  # fmt: skip
 
 
 @torch.no_grad()
@@ -87,17 +89,6 @@ def looks(first: Tensor, states: Tensor) -> dict[str, Tensor]:
 
 
 @torch.no_grad()
-def _contact_f1(model: Cvae, states: Tensor, contacts: Tensor) -> tuple[float, float]:
-    """F1 of contact labels against the true ones (W, T, 9): of those decoded one step from the truth, with the latent
-    of a posterior that saw the answer; and of those one frame before."""
-    past, now = (x.flatten(0, -2) for x in transition_pairs(states))
-    _, logits = apply(past, model.decode(past, model.posterior(past, now).mean))
-    truth = contacts[:, 1:].flatten(0, 1)
-    guesses = (logits > 0).float(), contacts[:, :-1].flatten(0, 1)
-    return tuple(float(contact_f1(guess, truth)) for guess in guesses)
-
-
-@torch.no_grad()
 def best_of(model: Cvae, states: Tensor, count: int, generator: torch.Generator) -> Tensor:
     """Errors (W,) in cm at the end of world states (W, T, 339) of the closest of ``count`` samples from the first."""
     first = states[:, 0].repeat(count, 1)
@@ -128,15 +119,16 @@ def quality_row(model: Cvae, states: Tensor, contacts: Tensor, seed: int = 0) ->
     "data's ": the windows themselves.
     """
     step, way = one_step_errors(model, states), rollout_errors(model, states)
-    row = {f"one step, {name}, cm": float(step[name].mean()) for name in step if name != "kl"}
-    f1 = _contact_f1(model, states, contacts)
-    row |= dict(zip(("one step, posterior, contact F1", "contact F1, as one frame before"), f1, strict=True))
+    nats, logits = step.pop("kl"), step.pop("contacts")
+    row = {f"one step, {name}, cm": float(error.mean()) for name, error in step.items()}
+    guesses = {"one step, posterior, contact F1": logits > 0, "contact F1, as one frame before": contacts[:, :-1]}
+    row |= {name: float(contact_f1(x.reshape(-1, 9), contacts[:, 1:].flatten(0, 1))) for name, x in guesses.items()}
     row |= {f"2 s, {name}, cm": float(way[name][:, -1].mean()) for name in way}
     some = states[:: math.ceil(len(states) / 48)]
     best = best_of(model, some, _SAMPLES, torch.Generator().manual_seed(seed))
     row[f"2 s, best of {_SAMPLES} samples, cm"] = float(best.mean())
     row["effective rank"] = effective_rank(model, localise(some[:, 0], heading(some[:, 0])))
-    row |= {"kl, nats": float(step["kl"].sum(-1).mean()), "active": int((step["kl"].mean(0) > ACTIVE_NATS).sum())}
+    row |= {"kl, nats": float(nats.sum(-1).mean()), "active": int((nats.mean(0) > ACTIVE_NATS).sum())}
     first, draw = states[:, 0], torch.Generator().manual_seed(seed)
     made = sample_rollout(model, first, states.shape[1] - 1, generator=draw).states
     for whose, shown in (("samples'", made), ("data's", states[:, 1:])):

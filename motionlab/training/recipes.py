@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from data_synth import corpus as synthetic
 from motionlab import checkpoint, corpus, rotation, splits
+from motionlab.diffusion.windows import LEGS
 from motionlab.errors import DataError, check_shape
 from motionlab.humor import priors, state
 from motionlab.humor.priors import Gaussian, InitGmm, PosePrior, kl
@@ -36,14 +36,8 @@ _SHARE = 0.2
 _FLIP = torch.tensor([-1.0, 1.0, 1.0])
 _PARTNER = [j - 1 for j in STANDARD.mirror_indices[1:]]
 #: Joints of the legs and of either arm, among the 21: these move on their own.
-_LIMBS = [
-    [j for j, name in enumerate(STANDARD.names[1:]) if any(part in name for part in parts)]
-    for parts in (
-        ("hip", "knee", "ankle", "foot"),
-        ("left_collar", "left_shoulder", "left_elbow", "left_wrist"),
-        ("right_collar", "right_shoulder", "right_elbow", "right_wrist"),
-    )
-]
+_ARMS = [tuple(f"{side}_{part}" for part in ("collar", "shoulder", "elbow", "wrist")) for side in ("left", "right")]
+_LIMBS = [[j for j, name in enumerate(STANDARD.names[1:]) if name.endswith(limb)] for limb in (LEGS, *_ARMS)]
 _COMMAND = "python -m motionlab train small --data FOLDER"
 
 
@@ -59,23 +53,6 @@ def sources(folder: Path | str | None) -> tuple[corpus.Corpus, list[Motion]]:
     return corpus.assemble(folder, splits.real_sources(folder)), [sequence.motion for sequence in made]
 
 
-class RealMotions(NamedTuple):
-    """Motions for training, by source; those of the validation people; which joints each of the first lacks."""
-
-    train: dict[str, list[Motion]]
-    held: dict[str, list[Motion]]
-    missing: dict[str, list[tuple[str, ...]]]
-
-
-def real_motions(folder: Path | str | None) -> RealMotions:
-    """Returns what recordings (``corpus.assemble``) and synthetic motion teach (:func:`sources`)."""
-    found, made = sources(folder)
-    takes = found.part("train")
-    train = {splits.RECORDED: [t.motion for t in takes], splits.SYNTHETIC: made}
-    missing = {splits.RECORDED: [t.missing for t in takes], splits.SYNTHETIC: [()] * len(made)}
-    return RealMotions(train, {"validation people": [t.motion for t in found.part("val")]}, missing)
-
-
 def _poses(motions: Sequence[Motion], every: int = 1) -> Tensor:
     """Local rotations (N, 21, 3, 3) of every so many frames."""
     return torch.cat([m.rot[::every, 1:] for m in motions]).float()
@@ -86,54 +63,51 @@ def _first_states(motions: Sequence[Motion], every: int, generator: torch.Genera
     motions and of other bodies."""
     found = []
     for motion in motions:
-        some = [motion]
-        if generator is not None:
-            some = [motion, mirror(motion), random_body(motion, generator), random_body(mirror(motion), generator)]
+        some = [motion] if generator is None else [motion, mirror(motion)]
+        some += [] if generator is None else [random_body(each, generator) for each in some]
         for each in some:
             world = state.from_motion(each, causal=True)[::every]
             found.append(priors.first_state_features(state.localise(world, state.heading(world))).float())
     return torch.cat(found)
 
 
-def make_pose_prior(data: RealMotions, out: Path, *, seed: int = 0, steps: int = STEPS) -> None:
-    """Trains and writes the pose prior into a folder."""
-    generator = torch.Generator().manual_seed(seed)
-    found = {source: _poses(motions) for source, motions in data.train.items()}
-    odds = [torch.full((len(x),), 1 / len(x)) for x in found.values()]  # each source as often as the other
-    every = torch.cat(list(found.values()))
-    lacks = [names for source in data.train for names in data.missing[source]]
-    counts = torch.tensor([m.frames for some in data.train.values() for m in some])
+def make_small(folder: Path | str | None, out: Path, *, seed: int = 0, steps: int = STEPS) -> None:
+    """Trains the pose prior and fits the mixture on what recordings (``corpus.assemble``) and synthetic motion teach
+    (:func:`sources`); writes both into a folder."""
+    found, made = sources(folder)
+    takes, held = found.part("train"), [take.motion for take in found.part("val")]
+    real = [take.motion for take in takes]
+    every = real + made
+    frames = {splits.RECORDED: sum(m.frames for m in real), splits.SYNTHETIC: sum(m.frames for m in made)}
+    about = {"data": frames, "corpus": asdict(synthetic.Recipe()), "seed": seed}
+
+    odds = [torch.full((count,), 1 / max(count, 1)) for count in frames.values()]  # each source as often as the other
+    lacks = [take.missing for take in takes] + [()] * len(made)
     rows = torch.tensor([[joint not in names for joint in STANDARD.names[1:]] for names in lacks])
-    how = {"steps": steps, "weight": torch.cat(odds), "seen": rows.repeat_interleave(counts, 0)}
-    model, history = train_pose_prior(every, generator, **how)
-    recipe = {
+    seen = rows.repeat_interleave(torch.tensor([m.frames for m in every]), 0)
+    run = PosePriorTraining(_poses(every), seen, torch.cat(odds), torch.Generator().manual_seed(seed), steps)
+    model = run.run(every=max(1, steps // 100), progress=True).averaged
+    recipe = about | {
         "what": "pose prior: variational autoencoder, 21 rotations to 32 latents",
-        "command": f"{_COMMAND} --steps {steps} --seed {seed}",
-        "data": {source: len(x) for source, x in found.items()},
-        "corpus": asdict(synthetic.Recipe()), "seed": seed, "steps": steps,
+        "command": f"{_COMMAND} --steps {steps} --seed {seed}", "steps": steps,
         "deviation": {"radians": POSE_TURN, "metres": POSE_PLACE},
-        "held out": {name: reconstruction(model, _poses(some, 3)) for name, some in data.held.items()},
-        "history": [[step, round(miss, 3), round(nats, 3)] for step, miss, nats in history],
+        "held out": {"validation people": reconstruction(model, _poses(held, 3))},
+        "history": [[row["step"], round(row["miss"], 3), round(row["kl"], 3)] for row in run.curve],
     }  # fmt: skip
     tensors = {n: x for n, x in model.state_dict().items() if not n.endswith("num_batches_tracked")}
     checkpoint.save(out / "pose_prior_real", tensors, recipe)
 
-
-def make_init_gmm(data: RealMotions, out: Path, *, seed: int = 0) -> None:
-    """Fits and writes the mixture into a folder."""
     generator = torch.Generator().manual_seed(seed)
-    samples = _first_states([m for some in data.train.values() for m in some], 30, generator)
+    samples = _first_states(every, 30, generator)
     gmm, history = fit_mixture(samples, generator)
     gmm = InitGmm(*(x.float() for x in gmm.tensors().values()))
-    held = {name: gmm.log_prob(_first_states(some, 3)) for name, some in data.held.items()}
-    recipe = {
+    left = gmm.log_prob(_first_states(held, 3))
+    recipe = about | {
         "what": "mixture of Gaussians over joints and velocities of a single frame",
-        "command": f"{_COMMAND} --seed {seed}",
-        "data": {source: sum(m.frames for m in some) for source, some in data.train.items()},
-        "samples": len(samples), "corpus": asdict(synthetic.Recipe()), "seed": seed, "components": len(gmm.weights),
+        "command": f"{_COMMAND} --seed {seed}", "samples": len(samples), "components": len(gmm.weights),
         "ridge": MIXTURE_RIDGE, "weights": [round(w, 4) for w in gmm.weights.tolist()],
         "held-out log-likelihood, nats per frame": {
-            name: {"mixture": round(float(x.mean()), 2), "frames": len(x)} for name, x in held.items()
+            "validation people": {"mixture": round(float(left.mean()), 2), "frames": len(left)}
         },
         "history": [round(x, 3) for x in history],
     }  # fmt: skip
@@ -144,19 +118,6 @@ def _joints_of(rot: Tensor) -> Tensor:
     """Joints (..., 22, 3) of the standard body, pelvis in the origin, for local rotations (..., 21, 3, 3)."""
     still = torch.eye(3).to(rot).expand(*rot.shape[:-3], 1, 3, 3)
     return fk(STANDARD, rot.new_zeros(*rot.shape[:-3], 3), torch.cat((still, rot), -3))[0]
-
-
-def _objective(model: PosePrior, rot: Tensor, seen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Mean over poses (B, 21, 3, 3) of -log p(pose | z) up to a constant, z drawn from the posterior; and of the KL.
-
-    Errors of rotations are chords |R - R'| / sqrt 2, which for small angles are the angles; only those that were
-    recorded count: seen (B, 21).
-    """
-    posterior = model.encode(rot)
-    found = model.decode(posterior.sample(generator))
-    turn = ((found - rot).square().sum((-2, -1)) * seen).sum(-1) / (2 * 2 * POSE_TURN**2)
-    place = (_joints_of(found) - _joints_of(rot)).square().sum((-2, -1)) / (2 * POSE_PLACE**2)
-    return (turn + place).mean(), _nats(posterior)
 
 
 def _nats(posterior: Gaussian) -> Tensor:
@@ -178,13 +139,17 @@ def _varied_poses(rot: Tensor, seen: Tensor, generator: torch.Generator, odds: f
     return rot, seen
 
 
-class _PosePriorRun(TrainingRun):
-    """Trains a pose prior: Adam, its rate falls as a cosine, and KL grows over the first tenth."""
+class PosePriorTraining(TrainingRun):
+    """Trains a pose prior on poses (N, 21, 3, 3): Adam, its rate falls as a cosine, and KL grows over the first tenth.
+
+    seen (N, 21): False where a rotation was not recorded, and teaches nothing. odds (N,): how often each pose is drawn,
+    relative to the others.
+    """
 
     clip, least = math.inf, 0.0
 
     def __init__(
-        self, steps: int, batch: int, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator
+        self, rot: Tensor, seen: Tensor, odds: Tensor, generator: torch.Generator, steps: int, batch: int = 256
     ) -> None:
         model = seeded(int(torch.randint(2**31, (), generator=generator)), PosePrior)
         with torch.no_grad():
@@ -196,35 +161,17 @@ class _PosePriorRun(TrainingRun):
         super().__init__(recipe, "", generator, model, torch.optim.Adam(model.parameters(), lr=recipe.lr))
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
+        """Mean over poses of -log p(pose | z) up to a constant, z drawn from the posterior; and of the KL. Errors of
+        rotations are chords |R - R'| / sqrt 2, which for small angles are the angles."""
         some = self.drawn[self.step]
         rot, seen = _varied_poses(self.rot[some], self.seen[some], self.generator)
-        miss, divergence = _objective(self.model, rot, seen, self.generator)
+        posterior = self.model.encode(rot)
+        found = self.model.decode(posterior.sample(self.generator))
+        turn = ((found - rot).square().sum((-2, -1)) * seen).sum(-1) / (2 * 2 * POSE_TURN**2)
+        place = (_joints_of(found) - _joints_of(rot)).square().sum((-2, -1)) / (2 * POSE_PLACE**2)
+        miss, divergence = (turn + place).mean(), _nats(posterior)
         grown = min(1.0, (self.step + 1) / (0.1 * self.recipe.steps))
         return miss + grown * divergence, {"miss": miss, "kl": divergence}
-
-
-def train_pose_prior(
-    rot: Tensor, generator: torch.Generator, *, steps: int = 4000, batch: int = 256, weight: Tensor | None = None,
-    seen: Tensor | None = None, progress: bool = True,
-) -> tuple[PosePrior, list[tuple[int, float, float]]]:  # fmt: skip
-    """Trains a pose prior on poses (N, 21, 3, 3).
-
-    weight (N,): how often each pose is drawn, relative to the others. seen (N, 21): False where a rotation was not
-    recorded, and teaches nothing.
-
-    Returns:
-        the frozen model, and (step, reconstruction, KL) a hundred times.
-    Raises:
-        DataError: no poses, or numbers that are not finite.
-    """
-    check_shape(rot, "N 21 3 3", "rot")
-    if len(rot) < 2 or not rot.isfinite().all():
-        raise DataError(f"{len(rot)} poses", remedy="give two or more, all of them finite")
-    odds = torch.ones(len(rot)) if weight is None else weight
-    seen = torch.ones(rot.shape[:2], dtype=torch.bool) if seen is None else seen
-    run = _PosePriorRun(steps, batch, rot, seen, odds, generator)
-    run.run(every=max(1, steps // 100), progress=progress)
-    return run.averaged, [(row["step"], row["miss"], row["kl"]) for row in run.curve]
 
 
 @torch.no_grad()
@@ -258,9 +205,7 @@ def fit_mixture(
     """
     check_shape(features, "N D", "features")
     if len(features) <= features.shape[1] or not features.isfinite().all():
-        raise DataError(
-            f"{len(features)} samples of {features.shape[1]} features", remedy="give more frames, all of them finite"
-        )
+        raise DataError(f"{len(features)} samples of {features.shape[1]} features", remedy="give more finite frames")
     x = features.double()
     share = torch.nn.functional.one_hot(_clusters(x, components, generator), components).double()
     history: list[float] = []

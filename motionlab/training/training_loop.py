@@ -21,8 +21,6 @@ from tqdm import tqdm
 from motionlab.errors import DataError
 
 AFRESH = "start afresh, without --more"
-#: Measures of a model, by name.
-Measure = Callable[[Any], dict[str, float]]
 
 
 def warmed_cosine(rate: float, step: int, steps: int, warm_up: int, least: float = 0.02) -> float:
@@ -46,19 +44,17 @@ def seeded(seed: int, build: Callable[[], nn.Module]) -> nn.Module:
 class TrainingRun(ABC):
     """A training run: everything that decides how it goes on.
 
-    recipe: a dataclass with at least ``steps``, of the optimiser, and ``average``, the share of the averaged weights
-    that stays at each step. model, average: its weights, and their moving average. generator: everything random is
-    drawn from it. curve: rows of step, loss, its parts and measures. best: step, measure and averaged weights that
-    the judge liked best, if there was one. skipped, in_a_row: batches without a finite gradient, all and since a good
-    one; the run ends at ``give_up`` in a row. earlier: steps that its first weights had behind them. clip: largest norm
-    of the gradient. warm_up, least: of the learning rate (``warmed_cosine``), where the recipe does not say the first.
-    extra: what else is saved, by name.
+    recipe: a dataclass (``Recipe``) with at least ``steps``, of the optimiser, and ``average``, the share of the
+    averaged weights that stays at each step. model, average: its weights, and their moving average. generator:
+    everything random is drawn from it. curve: rows of step, loss, its parts and measures. best: step, measure and
+    averaged weights that the judge liked best, if there was one. skipped, in_a_row: batches without a finite gradient,
+    all and since a good one; the run ends at ``give_up`` in a row. earlier: steps that its first weights had behind
+    them. clip: largest norm of the gradient. warm_up, least: of the learning rate (``warmed_cosine``), where the recipe
+    does not say the first. extra: what else is saved, by name.
     """
 
-    #: Reads the recipe from ``asdict``'s content.
-    reads: ClassVar[Callable[[dict], Any]]
-    give_up = 1
-    clip = 1.0
+    Recipe: ClassVar[type]
+    give_up, clip = 20, 1.0
     warm_up, least = 100, 0.02
 
     def __init__(
@@ -101,7 +97,7 @@ class TrainingRun(ABC):
         return self._made(self.best["weights"] if self.best else self.average)
 
     def run(
-        self, *, until: int | None = None, keep: Path | None = None, every: int = 500, judge: Measure | None = None,
+        self, *, until: int | None = None, keep: Path | None = None, every: int = 500, judge: Callable | None = None,
         judge_every: int = 2500, progress: bool = False,
     ) -> Self:  # fmt: skip
         """Trains on to the last step, or to ``until``; saves to ``keep`` every ``every`` steps and at the end.
@@ -136,34 +132,26 @@ class TrainingRun(ABC):
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate()
         loss, parts = self._loss()
-        used = self._descend(loss)
-        self.step += 1
-        if used:
-            keep = min(self.recipe.average, (1 + self.step) / (10 + self.step))
-            with torch.no_grad():
-                for name, value in self.model.state_dict().items():
-                    average = self.average[name]
-                    average.lerp_(value, 1 - keep) if value.is_floating_point() else average.copy_(value)
-        row = {"loss": loss.item()} | {name: value.item() for name, value in parts.items()} if used else {}
-        return row | ({"skipped": self.skipped} if self.give_up > 1 else {})
-
-    def _descend(self, loss: Tensor) -> bool:
-        """One step of the optimiser; False, and nothing changed, where the gradient is not finite."""
         self.optimiser.zero_grad()
         loss.backward()
-        norm = nn.utils.clip_grad_norm_(self.model.parameters(), self.clip)
-        if norm.isfinite():
-            self.optimiser.step()
-            self.in_a_row = 0
-            return True
-        self.skipped, self.in_a_row = self.skipped + 1, self.in_a_row + 1
-        if self.in_a_row < self.give_up:
-            return False
-        what = f"the {'gradient' if loss.isfinite() else 'loss'} is not finite"
-        what += f", {self.give_up} batches in a row" if self.give_up > 1 else ""
-        raise DataError(what, place=f"step {self.step}", remedy="lower the learning rate")
+        if not nn.utils.clip_grad_norm_(self.model.parameters(), self.clip).isfinite():
+            self.skipped, self.in_a_row = self.skipped + 1, self.in_a_row + 1
+            if self.in_a_row == self.give_up:
+                what = f"the {'gradient' if loss.isfinite() else 'loss'} is not finite, {self.give_up} batches in a row"
+                raise DataError(what, place=f"step {self.step}", remedy="lower the learning rate")
+            self.step += 1
+            return {"skipped": self.skipped}
+        self.optimiser.step()
+        self.in_a_row = 0
+        self.step += 1
+        keep = min(self.recipe.average, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            for name, value in self.model.state_dict().items():
+                average = self.average[name]
+                average.lerp_(value, 1 - keep) if value.is_floating_point() else average.copy_(value)
+        return {"loss": loss.item(), **{name: value.item() for name, value in parts.items()}, "skipped": self.skipped}
 
-    def _judged(self, judge: Measure) -> dict[str, float]:
+    def _judged(self, judge: Callable) -> dict[str, float]:
         row = judge(self.averaged)
         name, value = next(iter(row.items()))
         if value < (self.best[name] if self.best else math.inf):
@@ -193,17 +181,16 @@ class TrainingRun(ABC):
         """
         try:
             found = torch.load(path, map_location="cpu", weights_only=True)
-            if found.get("windows", found.get("examples")) != data.digest:  # as of ``transition`` once
+            if found["windows"] != data.digest:
                 raise DataError("trained on other windows", path=path, remedy=AFRESH)
-            run = cls(cls.reads(found["recipe"]), data)
+            run = cls(cls.Recipe(**found["recipe"]), data)
             run.model.load_state_dict(found["model"])
             for name, value in found["average"].items():
                 run.average[name].copy_(value)
             run.optimiser.load_state_dict(found["optimiser"])
             run.generator.set_state(found["generator"])
             run.step, run.curve, run.best = found["step"], found["curve"], found["best"]
-            run.skipped, run.in_a_row = found["skipped"]
-            run.earlier = found.get("earlier", 0)
+            (run.skipped, run.in_a_row), run.earlier = found["skipped"], found["earlier"]
             run.extra = {name: found[name] for name in run.extra}
         except DataError:
             raise

@@ -71,7 +71,7 @@ def errors(model: Cvae, motion: Motion) -> Errors:
 
 def measures(found: Errors, whose: Tensor) -> dict[str, tuple[Tensor, str, Tensor | float]]:
     """Computes H15's tests of a sequence: by name each person's number (P,), the statistic, and the baseline's."""
-    step = {way: by_person(each.mean(1), whose) for way, each in found.step.items() if way != "kl"}
+    step = {way: by_person(each.mean(1), whose) for way, each in found.step.items() if each.ndim == 2}
     last, closed = (by_person(found.chain[way][:, -1], whose) for way in ("posterior z", "closed loop"))
     straight, guessed, shown = step["constant velocity"], step["prior mean"], step["posterior"]
     return {

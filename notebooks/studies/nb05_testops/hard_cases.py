@@ -24,7 +24,7 @@ from studies.nb05_testops.cast import Cast, by_person
 from studies.nb05_testops.trials import rival_of, scores
 from studies.nb05_testops.tuning import Choice
 from studies.shared.clips import FRAMES, everyday, goes, takes
-from studies.shared.sitting import seated
+from studies.shared.sitting import seated, sits
 
 SYNTHETIC, CMU = "synthetic", "CMU"
 Case = tuple[str, str]
@@ -164,7 +164,7 @@ def posture(ways: Mapping[str, Motion], truth: Motion) -> dict[str, dict[str, Te
     in degrees ("flexion") and of the legs in cm ("legs")."""
     when = measures.moment(truth)
     return {
-        way: {"seated": seated(motion, when), "bent": metrics.sits(motion, when=when),
+        way: {"seated": seated(motion, when), "bent": sits(motion, when),
               "flexion": measures.flexion_error(motion, truth), "legs": scores(motion, truth)["legs"]}
         for way, motion in ways.items()
     }  # fmt: skip

@@ -5,6 +5,7 @@ returns one number per clip (B,), NaN where a mask leaves nothing to measure.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -49,8 +50,11 @@ def flexion_error(fit: Motion, truth: Motion) -> Tensor:
 
 
 def swing(motion: Motion, where: Tensor) -> Tensor:
-    """Computes the standard deviation of ``metrics.ahead`` over the frames of a mask, metres."""
-    way = metrics.ahead(motion)
+    """Computes the standard deviation, over the frames of a mask, of how far the left ankle is ahead of the right one
+    along the heading of the pelvis, metres."""
+    forward = torch.nn.functional.normalize(motion.rot[..., 0, :2, 2], dim=-1)
+    left, right = (motion.positions[..., motion.skeleton.index(f"{side}_ankle"), :2] for side in metrics.SIDES)
+    way = ((left - right) * forward).sum(-1)
     mean = metrics.masked_mean(way, where, 1)
     return metrics.masked_mean((way - mean[..., None]).square(), where, 1).sqrt()
 
@@ -61,7 +65,10 @@ def _about_pelvis(motion: Motion) -> Tensor:
 
 def band_power(fit: Motion, truth: Motion, bands: Sequence[float]) -> Tensor:
     """Power of the joints' velocities about the pelvis over the true one, per band of frequency: (B, bands)."""
-    return metrics.power_spectrum_ratio(_about_pelvis(fit), _about_pelvis(truth), truth.fps, bands)
+    frequency = torch.fft.rfftfreq(truth.frames - 1, 1 / truth.fps)
+    inside = torch.stack([(frequency >= low) & (frequency < high) for low, high in pairwise(bands)]).to(truth.root)
+    mine, true = (metrics.power_spectrum(_about_pelvis(x).diff(dim=-3)) @ inside.mT for x in (fit, truth))
+    return mine / true
 
 
 def acceleration_ratio(fit: Motion, truth: Motion) -> Tensor:

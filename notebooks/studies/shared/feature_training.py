@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from data_synth import corpus as synthetic
-from motionlab import checkpoint
+from motionlab import checkpoint, splits
 from motionlab.diffusion import encoder
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.errors import ShapeError
@@ -26,21 +26,41 @@ def make_encoder(folder: Path | str | None, out: Path, recipe: encoder.EncoderRe
 
     folder: of recordings. Trained on the training people, watched on validation people.
     """
-    train, val = recipes.real_motions(folder)[:2]
-    windows, held = (
-        gather([on_standard(m) for each in some.values() for m in each], recipe.frames) for some in (train, val)
-    )
-    held = held.evenly(256)
+    found, made = recipes.sources(folder)
+    train, val = ([take.motion for take in found.part(part)] for part in ("train", "val"))
+    windows, held = (gather([*map(on_standard, some)], recipe.frames) for some in (train + made, val))
+    held, minutes = held.evenly(256), {splits.RECORDED: train, splits.SYNTHETIC: made}
     features, curve = train_encoder(windows, recipe, held, progress=True)
     about = {
         "what": "autoencoder over windows of 60 frames: the features that generated motion is judged in",
         "command": f"python -m studies.shared.feature_training FOLDER --steps {recipe.steps} --seed {recipe.seed}",
-        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in train.items()},
+        "minutes of motion, before mirroring": {k: sum(m.seconds for m in v) / 60 for k, v in minutes.items()},
         "corpus": asdict(synthetic.Recipe()), "windows": windows.digest, "torch": torch.__version__,
-        "share of variance missed, held out": {k: round(v, 4) for k, v in features.reconstruction_error(held).items()},
+        "share of variance missed, held out": {k: round(v, 4) for k, v in share_missed(features, held).items()},
         "curve": curve,
     }  # fmt: skip
-    encoder.save_encoder(out, features, about)
+    save_encoder(out, features, about)
+
+
+def save_encoder(path: Path, features: encoder.MotionEncoder, about: dict) -> None:
+    """Writes ``path`` (.safetensors, weights as float16) and its recipe (.json) with ``about``."""
+    recipe, exact = asdict(features.recipe), ("mean", "scale", "centre", "spread")
+    checkpoint.save(path, features.state_dict(), about | {"recipe": recipe}, exact)
+
+
+def _missed(features: encoder.MotionEncoder, motion: Motion) -> tuple[Tensor, Tensor]:
+    """Normalised signals (N, T, 94) of windows, and squares of what the latent numbers miss of them."""
+    x = (encoder.signals(motion) - features.mean) / features.scale
+    return x, (features.network["decoder"](features.network["encoder"](x.mT)).mT - x).square()
+
+
+@torch.no_grad()
+def share_missed(features: encoder.MotionEncoder, motion: Motion) -> dict[str, float]:
+    """Computes the share of each group's variance that the latent numbers miss, of windows (N, T)."""
+    x, wrong = _missed(features, motion)
+    groups = (each.split(list(encoder.FEATURE_GROUPS.values()), -1) for each in (wrong, (x - x.mean((0, 1))).square()))
+    parts = zip(encoder.FEATURE_GROUPS, *groups, strict=True)
+    return {name: float(a.sum() / b.sum().clamp(min=1e-12)) for name, a, b in parts}
 
 
 class _EncoderRun(TrainingRun):
@@ -59,17 +79,17 @@ class _EncoderRun(TrainingRun):
         super().__init__(recipe, windows.digest, generator, network, optimiser)
 
     def _loss(self) -> tuple[Tensor, dict[str, Tensor]]:
-        _, missed = self.model.missed(self.windows.draw(self.recipe.batch, self.generator))
+        _, missed = _missed(self.model, self.windows.draw(self.recipe.batch, self.generator))
         return (missed * self.weight).sum(-1).mean(), {}
 
 
 def train_encoder(
     windows: Windows, recipe: encoder.EncoderRecipe, held: Motion | None = None, *, progress: bool = False
 ) -> tuple[encoder.MotionEncoder, list[dict]]:
-    """Trains on windows; returns the features and the curve: loss, and what is ``missed`` of held-out windows."""
+    """Trains on windows; returns the features and the curve: loss, and what is missed of held-out windows."""
     if windows.length != recipe.frames:
         raise ShapeError(f"windows of {windows.length} frames, recipe of {recipe.frames}")
-    every, judge = max(1, recipe.steps // 20), None if held is None else lambda x: x.reconstruction_error(held)
+    every, judge = max(1, recipe.steps // 20), None if held is None else lambda x: share_missed(x, held)
     run = _EncoderRun(recipe, windows).run(every=every, judge=judge, judge_every=every, progress=progress)
     made = run.averaged
     made.network.half().float()  # its weights as they are stored

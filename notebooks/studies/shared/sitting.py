@@ -18,7 +18,13 @@ def unsupported(motion: Motion) -> Tensor:
     return ((feet - trunk) * heading).sum(-1)
 
 
+def sits(motion: Motion, when: Tensor) -> Tensor:
+    """Computes whose thighs and knees are bent by ``metrics.SEATED`` in the mean of frames (B, T): 1 or 0 (B,)."""
+    tilt, bend = (metrics.masked_mean(x.mean(-1), when, 1) for x in metrics.tilt_and_bend(motion))
+    return ((tilt >= metrics.SEATED) & (bend >= metrics.SEATED)).to(tilt)
+
+
 def seated(motion: Motion, when: Tensor) -> Tensor:
     """Computes who sits, 1 or 0 (B,), in frames (B, T): thighs and knees bent by ``metrics.SEATED`` and the trunk
     ``SEAT`` behind the feet, means over the frames. Who crouches bends the legs as much, over the feet."""
-    return metrics.sits(motion, when=when) * (metrics.masked_mean(unsupported(motion), when, 1) >= SEAT)
+    return sits(motion, when) * (metrics.masked_mean(unsupported(motion), when, 1) >= SEAT)
