@@ -1,9 +1,9 @@
 """Retargets a motion of any known skeleton to the standard 22 joints, with its error; feet that stand stay in place.
 
-First how a skeleton is read, then the transfer there and back, then what that loses of a rig.
+First how a skeleton is read, then the transfer there and back.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import torch
@@ -18,7 +18,6 @@ from motionlab.rigs import dropped_joints, find_joints, guessed_joints
 from motionlab.skeleton import BALLS, FEET, STANDARD, Skeleton, fk
 
 _EYE = torch.eye(3, dtype=torch.float64)
-PLACE, ANGLE = 0.02, 5.0  # metres and degrees that the way there and back may cost a rig, at the 95th percentile
 _LEG = ("hip", "knee", "ankle")
 _LIMBS = ("hip", "knee", "shoulder", "elbow")  # a bone of these names points along the standard's own
 
@@ -322,59 +321,3 @@ def _source_proportions(body: Match, correction: Tensor, standing: Skeleton, sca
             lengths = standing.offsets[way].norm(dim=-1, keepdim=True)
             offsets[way] = lengths / lengths.sum() * bone
     return replace(standing, offsets=offsets)
-
-
-# ------------------------------------------------------------------------------------------------------- certificates
-@dataclass(frozen=True)
-class Certificate:
-    """What the way of recordings of one rig to the standard 22 joints and back costs.
-
-    rig: names and parents. file: the first recording. files: how many. joints: of the 22 that the rig has. source:
-    where its rest pose is taken from. place, angle: metres and degrees by which the body's joints are off, at the
-    95th percentile, in the worst recording. lost: joints that stand where one of the 22 is missing.
-    """
-
-    rig: tuple
-    file: str
-    files: int
-    joints: int
-    source: str
-    place: float
-    angle: float
-    lost: tuple[str, ...]
-
-    @property
-    def holds(self) -> bool:
-        """Whether nothing is lost and the way costs no more than ``PLACE`` and ``ANGLE``."""
-        return not self.lost and self.place <= PLACE and self.angle <= ANGLE
-
-
-def by_rig(certificates: Iterable[Certificate]) -> list[Certificate]:
-    """Returns the worst of every rig, in the order in which they come; rigs differ in names or tree."""
-    found: dict[object, Certificate] = {}
-    for row in certificates:
-        old = found.get(row.rig, replace(row, files=0))
-        place, angle = max(old.place, row.place), max(old.angle, row.angle)
-        found[row.rig] = replace(old, files=old.files + row.files, place=place, angle=angle)
-    return list(found.values())
-
-
-def certify(motion: Motion) -> Certificate:
-    """Certifies the rig of one recording (T frames).
-
-    Raises:
-        DataError: a skeleton whose joints are not known.
-    """
-    body, motion = match_joints(motion), motion.to(torch.float64)
-    skeleton = motion.skeleton
-    back = put_on(retarget(motion, floor=False, body=body).motion, skeleton, body)
-    lost = dropped_joints(skeleton, body.joints)
-    joints = {*body.joints.values(), *lost}
-    for j in range(len(skeleton) - 1, 0, -1):  # what carries the body belongs to it, fingers and faces do not
-        if j in joints and j != body.joints["pelvis"]:
-            joints.add(skeleton.parents[j])
-    joints = sorted(joints | {j for j, parent in enumerate(skeleton.parents) if parent in lost})
-    off = (back.positions - motion.positions).norm(dim=-1), rotation.geodesic(back.world[1], motion.world[1])
-    place, angle = (float(each[:, joints].flatten().quantile(0.95)) for each in (off[0], torch.rad2deg(off[1])))
-    lost, rig = tuple(skeleton.names[j] for j in lost), (skeleton.names, skeleton.parents)
-    return Certificate(rig, motion.name, 1, len(body.joints), body.source, place, angle, lost)

@@ -16,7 +16,7 @@ from motionlab.errors import DataError
 from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.rest import FIRST, MOVED, SQUARE, ZERO
-from motionlab.retarget import certify, match_joints, put_on, retarget, with_rest
+from motionlab.retarget import match_joints, put_on, retarget, with_rest
 from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
 
@@ -70,8 +70,6 @@ def test_every_family(generator, family):
     lift = torch.tensor([0.0, 0.0, found.floor], dtype=torch.float64)
     torch.testing.assert_close(found.motion.positions[:, at], rig.positions[:, own] + lift, atol=1e-6, rtol=0)
     torch.testing.assert_close(found.motion.world[1][:, at], rig.world[1][:, own], atol=1e-6, rtol=0)
-    row = certify(rig)
-    assert row.holds and row.joints == len(truth) and row.place < 1e-5 and row.angle < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -162,7 +160,7 @@ def test_a_joint_without_a_name_is_taken_by_its_place(generator):
     assert any("by their place: neck = blib, left_foot = blob, left_elbow = zork" in note for note in found.notes)
 
 
-def test_a_joint_that_is_lost_is_said_aloud_and_counted(generator, tmp_path, capsys):
+def test_a_joint_that_is_lost_is_said_aloud_and_counted(generator):
     motion, _ = worn(person(generator), "MakeHuman")  # two joints between shoulder and wrist: which is the elbow?
     names = {f"{bone}.L": f"{bone}.x" for bone in ("lowerarm01", "lowerarm02")}
     found = retarget(renamed(motion, **names))
@@ -174,16 +172,6 @@ def test_a_joint_that_is_lost_is_said_aloud_and_counted(generator, tmp_path, cap
     assert abs(found.per_joint["lowerarm01.x"] - off) < 1e-6 and f"{off:.2f} m off" in lost
     assert found.residual > 0.01 > retarget(motion).residual  # negative control: with its elbow nothing is lost
     assert not any("LOST" in note for note in retarget(motion).notes)
-    row = certify(renamed(motion, **names))
-    assert not row.holds and "lowerarm01.x" in row.lost and row.angle > 20
-    bvh.save(tmp_path / "lost.bvh", renamed(motion, **names))
-    assert main(["data", str(tmp_path), "--certify"]) == 1
-    assert "lowerarm01.x" in capsys.readouterr().out
-    bvh.save(tmp_path / "lost.bvh", motion)
-    (tmp_path / "LICENSE.txt").write_text("no recording")
-    assert main(["data", str(tmp_path), "--certify"]) == 0
-    assert main(["data", str(tmp_path / "lost.bvh"), "--certify"]) == 0
-    assert "22 of 22  zero pose" in capsys.readouterr().out
 
 
 def test_a_heel_is_no_ball_of_the_foot(generator):

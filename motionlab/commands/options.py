@@ -50,7 +50,6 @@ def parser() -> argparse.ArgumentParser:
     option("folder", nargs="?", help="or one file (default: $MOTIONLAB_DATA)")
     option("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
     _add_reading(command, rate=("--fps-in",))
-    option("--certify", action="store_true", help="say what the 22 standard joints lose of each rig in it")
 
     text = "make training motion of recordings; say what is cut out and why"
     command, option = add("prepare", text, "recordings/ --out prepared/", "commands.recordings:prepare")
