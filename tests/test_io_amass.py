@@ -70,15 +70,12 @@ def test_motion_to_amass_to_motion_is_exact(tmp_path, seed):
     rot = rotation.random((FRAMES, 22), generator)
     contacts = torch.randint(0, 2, (FRAMES, 9), generator=generator).float()
     motion = Motion(STANDARD, torch.randn(FRAMES, 3, generator=generator), rot, 30.0, contacts)
-    offset = torch.tensor([0.01, -0.23, 0.02])
-    smpl.save_motion(tmp_path / "a.npz", motion, pelvis_offset=offset)
-    back = smpl.load_motion(tmp_path / "a.npz", pelvis_offset=offset)
+    smpl.save_motion(tmp_path / "a.npz", motion)
+    back = smpl.load_motion(tmp_path / "a.npz")
     torch.testing.assert_close(back.root, motion.root, atol=1e-7, rtol=0)
     torch.testing.assert_close(back.rot, motion.rot, atol=1e-6, rtol=0)
     torch.testing.assert_close(back.contacts, contacts, atol=0, rtol=0)
     assert back.fps == 30.0
-    wrong = smpl.load_motion(tmp_path / "a.npz")
-    torch.testing.assert_close(motion.root - wrong.root, offset.expand(FRAMES, 3), atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("columns", [72, 156, 165])  # SMPL's, SMPL+H's, SMPL-X's
@@ -90,18 +87,6 @@ def test_amass_to_motion_to_amass_keeps_the_body(tmp_path, columns):
     np.testing.assert_allclose(back["poses"][:, :66], content["poses"][:, :66], atol=2e-6)
     np.testing.assert_allclose(back["trans"], content["trans"], atol=1e-6)
     assert back["poses"].shape == (FRAMES, 156) and not back["poses"][:, 66:].any()
-
-
-def test_the_pelvis_is_where_smpl_puts_it(tmp_path):
-    """SMPL's own formula, x' = R (x - J0) + J0 + trans, applied to the pelvis x = J0 of any root rotation."""
-    content = arrays()
-    j0 = np.array([-0.002, -0.24, 0.03])
-    turn = Rotation.from_rotvec(content["poses"][:, :3])
-    pelvis = turn.apply(j0 - j0) + j0 + content["trans"]
-    motion = smpl.load_motion(written(tmp_path / "a.npz", content), pelvis_offset=torch.from_numpy(j0))
-    np.testing.assert_allclose(motion.positions[:, 0].numpy(), pelvis, atol=1e-6)
-    rotated = turn.apply(j0) + content["trans"]
-    assert np.abs(motion.positions[:, 0].numpy() - rotated).max() > 0.1
 
 
 def test_pickled_members_that_nobody_needs_are_not_touched(tmp_path):

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from motionlab import rotation
 from motionlab.body import BodyModel
@@ -159,18 +158,14 @@ def _rate(at: Location, arrays: dict[str, np.ndarray], system: str, usual: float
     return next(iter(rates.values()), usual)
 
 
-def load_motion(
-    path: str | Path, *, pelvis_offset: Tensor | None = None, person: int = 0, up: Axes = None, axes: Axes = None,
-    fps: Fps = None,
-) -> Motion:  # fmt: skip
+def load_motion(path: str | Path, *, person: int = 0, up: Axes = None, axes: Axes = None, fps: Fps = None) -> Motion:
     """Reads the body of a file as a Motion on 22 joints; hands, jaw and eyes are left out, shapes are not read.
 
-    root = trans + pelvis_offset. SMPL's translation is not the pelvis: pelvis = trans + J_0(betas), where J_0 is
-    the pelvis of the shaped template, which the root rotation leaves where it is. Without the body model J_0 is
-    not known and the root lies some 0.3 m off (upwards for SMPL); the motion is the same.
+    root = trans. SMPL's translation is not the pelvis: pelvis = trans + J_0(betas), where J_0 is the pelvis of the
+    shaped template, which the root rotation leaves where it is. Without the body model J_0 is not known and the root
+    lies some 0.3 m off (upwards for SMPL); the motion is the same.
 
     Args:
-        pelvis_offset: (3,) J_0(betas) in metres; None is zero.
         person: whom, of a file of several; the longest first.
         up, axes: instead of z up (GVHMR, WHAM and AIST++: y; TRAM: -y), which is doubted where the heads of the file
             are above its feet along another axis. fps: instead of the file's.
@@ -178,7 +173,6 @@ def load_motion(
     Raises:
         DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ;
             nothing that a pickle asks for is executed.
-        ShapeError: pelvis_offset is not (3,).
     """
     judging.check_given(None, up, axes)
     with reading(path, 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"') as at:
@@ -203,36 +197,30 @@ def load_motion(
         far = np.linalg.norm(np.median(trans, axis=0))
         if fast > _FASTEST or far > _FARTHEST:
             at.notes.append(f"{key} moves by up to {fast:.3g} m/s, {far:.3g} m from the origin: is it in metres?")
-        offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
-        check_shape(offset, "3", "pelvis_offset")
-        if pelvis_offset is None:
-            at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
+        at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
         if joints > BODY:
             model = MODELS.get(joints, f"{joints} joints")
             at.notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
-        root = torch.from_numpy(trans) + offset.double().cpu()
         rot = rotation.axis_angle_to_matrix(torch.from_numpy(turns[:, :BODY]))
-        motion = Motion(STANDARD, root, rot, rate, contacts, at.path.stem, tuple(at.notes))
+        motion = Motion(STANDARD, torch.from_numpy(trans), rot, rate, contacts, at.path.stem, tuple(at.notes))
         return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)
 
 
-def save_motion(path: str | Path, motion: Motion, *, pelvis_offset: Tensor | None = None) -> None:
-    """Writes a motion on SMPL's 22 joints as an AMASS npz that ``load_motion`` with the same offset gives back exactly.
+def save_motion(path: str | Path, motion: Motion) -> None:
+    """Writes a motion on SMPL's 22 joints as an AMASS npz that ``load_motion`` gives back exactly.
 
-    trans = root - pelvis_offset; the hands of SMPL+H and the betas are zero; contacts are kept under ``contacts``.
+    trans = root; the hands of SMPL+H and the betas are zero; contacts are kept under ``contacts``.
 
     Raises:
         ShapeError: batch axes, no frames, or not 22 joints.
         DataError: NaN or infinity, or the file cannot be written.
     """
     check_writable(path, motion)
-    offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
-    check_shape(offset, "3", "pelvis_offset")
     check_shape(motion.rot, f"T {BODY} 3 3", "rot")
     turns = rotation.matrix_to_axis_angle(motion.rot.double()).flatten(-2)
     content = {
         "poses": torch.nn.functional.pad(turns, (0, 3 * (52 - BODY))).cpu().numpy(),
-        "trans": (motion.root.double().cpu() - offset.double().cpu()).numpy(),
+        "trans": motion.root.double().cpu().numpy(),
         "betas": np.zeros(16),
         "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(motion.fps)),
@@ -280,10 +268,9 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
             raise at.error(f"{height:.3g} m high (y is up)", place="v_template", remedy="convert it to metres, y up")
         table = checked_array(at, raw["kintree_table"], "2 J", "kintree_table")
         parents = [-1, *table[0, 1:].astype(int).tolist()]  # the root's own entry is -1 or 2**32 - 1
-        if wrong := [joint for joint, parent in enumerate(parents) if joint and not 0 <= parent < joint]:
-            raise at.error(f"joint {wrong[0]} has parent {parents[wrong[0]]}", place="kintree_table")
-        if tuple(parents[:count]) != STANDARD.parents:
-            raise at.error("does not begin with the tree of SMPL's 22 body joints", place="kintree_table")
+        later = all(0 <= parent < joint for joint, parent in enumerate(parents[1:], start=1))
+        if tuple(parents[:count]) != STANDARD.parents or not later:
+            raise at.error("no tree that begins with SMPL's 22 body joints", place="kintree_table")
         shape = checked_array(at, raw["shapedirs"], f"{vertices} 3 B", "shapedirs")[..., :betas]
         weights = checked_array(at, raw["weights"], f"{vertices} {len(parents)}", "weights")
         regressor = checked_array(at, raw["J_regressor"], f"{len(parents)} {vertices}", "J_regressor")
