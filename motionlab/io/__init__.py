@@ -52,7 +52,6 @@ def load_npy(
     Raises:
         DataError: it holds anything else.
     """
-    judging.check_given(unit, up, axes)
     with reading(path, "save joints (T, 22, 3) or HumanML3D's features (T, 263) with numpy.save") as at:
         array = read_npy(at, read_bytes(at), first_object)
         if not isinstance(array, np.ndarray):

@@ -87,7 +87,7 @@ def load_beside(amc: str | Path, *, asf: str | Path | None = None, fps: Fps = No
             remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
             raise DataError(what, path=amc.with_name(path), remedy=remedy, place=amc.name)
         asf = max(fits, key=lambda path: len(path.stem))
-    return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS[unit] if unit in UNITS else unit)
+    return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS.get(unit, unit))
 
 
 def _turn(bone: _Bone, values: np.ndarray, degrees: bool, axis_degrees: bool) -> Tensor:

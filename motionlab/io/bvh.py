@@ -16,7 +16,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import AXES, UNITS, Axes, Fps, Unit, rerooted
+from motionlab.io.judging import AXES, Axes, Fps, Unit, rerooted
 from motionlab.io.reading import RATES, Location, check_writable, floats, frame_rate, read_text, reading, text_lines
 from motionlab.motion import Motion
 from motionlab.rigs import ancestors
@@ -48,10 +48,8 @@ def load(
         translations: "strict" or "mean", of joints below the root that move: see ``rerooted``.
 
     Raises:
-        DataError: the file is not a readable BVH; names the file, the line and the remedy.
-        ValueError: unit, up, axes or translations is none of the above.
+        DataError: the file is not a readable BVH, or what is given none of the above; names file, line and remedy.
     """
-    judging.check_given(unit, up, axes, translations)
     with reading(path, "export the BVH again, or repair the line") as at:
         joints, values, rate = _parse(at, read_text(at), fps)
         place, rot, relative = _local(joints, values)
@@ -84,12 +82,11 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
         ValueError: order, unit or up is none of the known ones.
     """
     check_writable(path, motion)
-    judging.check_given(unit, up, None)
     if sorted(order) != ["X", "Y", "Z"]:
         raise ValueError(f"expected an order of X, Y, Z, got {order!r}")
-    scale = 1 / (UNITS[unit] if isinstance(unit, str) else float(unit))
+    scale = 1 / judging.metres(unit)
     motion = motion.to(torch.float64)
-    skeleton, names, world = motion.skeleton, motion.skeleton.names, judging.axes_to_matrix(AXES[up])
+    skeleton, names, world = motion.skeleton, motion.skeleton.names, judging.axes_to_matrix(AXES.get(up, up))
     rest = (motion.rot - torch.eye(3).double()).abs().amax((0, 2, 3)) < 1e-6
     leaves = {*range(1, len(names))} - {*skeleton.parents}
     ends = {j for j in leaves if rest[j] and names[j] == f"{names[skeleton.parents[j]]}_end"}

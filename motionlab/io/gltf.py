@@ -64,7 +64,6 @@ def load(
     Raises:
         DataError: not such a file, or nobody with this number.
     """
-    judging.check_given(unit, up, axes, translations)
     with reading(path, "write it with motionlab.io.gltf.save, or export GLB with sampled animation") as at:
         content, blob = _chunks(at)
         found = _figure(at, content, blob, person, animation, fps)

@@ -56,27 +56,19 @@ def axes_to_matrix(axes: str) -> Tensor:
     return matrix
 
 
+def metres(unit: str | float) -> float:
+    """Returns the metres of one of ``UNITS``, or of a number of metres; ValueError for anything else."""
+    length = UNITS.get(unit, unit)
+    if not isinstance(length, int | float) or not 0 < length < float("inf"):
+        raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
+    return float(length)
+
+
 def unit_named(word: object) -> float | None:
     """Returns the metres of a unit as files and people write it ("mm", "Meters", "in"); None for another word."""
     word = str(word).strip().strip(".").lower().removesuffix("s")
     word = re.sub("^([cmd]?)(?:enti|illi|eci)?met(?:er|re)$", r"\1m", word)
     return UNITS.get(_WORDS.get(word, word))
-
-
-def check_given(unit: Unit, up: Axes, axes: Axes, translations: str = "strict") -> None:
-    """Checks what a caller says of a file.
-
-    Raises:
-        ValueError: not a unit, axis or way with translations, or both ``up`` and ``axes``. ShapeError: not axes.
-    """
-    if not (unit is None or unit in UNITS or (isinstance(unit, int | float) and 0 < unit < float("inf"))):
-        raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
-    if up not in (None, *AXES) or None not in (up, axes):
-        raise ValueError(f"expected up of {', '.join(AXES)} or axes, not both; got up {up!r} and axes {axes!r}")
-    if translations not in ("strict", "mean"):
-        raise ValueError(f"expected translations 'strict' or 'mean', got {translations!r}")
-    if axes is not None:
-        axes_to_matrix(axes)
 
 
 def to_world(
@@ -86,15 +78,14 @@ def to_world(
     """Turns a motion or positions of a file's own unit and axes into metres, z up, float32; notes what was guessed.
 
     Args:
-        unit, up, axes: what the caller gives, which is taken as it is; checked before, by :func:`check_given`: metres
-            per unit, or one of ``UNITS``; the file's axis that points up, of ``AXES``; instead of it the file's axes
-            that become the world's x, y and z, such as "x-zy".
+        unit, up, axes: what the caller gives, which is taken as it is: metres per unit, or one of ``UNITS``; the file's
+            axis that points up, of ``AXES``; or before it the file's axes that become the world's x, y and z, "x-zy".
         says_unit, says_up: what the file or its format says: metres, and a letter of ``AXES``. Of a motion without,
             the zero pose is asked. trust: how much the letter weighs against a head above the feet in all frames (1).
         table: the axes by the one that points up, as ``AXES``.
 
     Raises:
-        DataError: neither the file nor its figure tells the unit, or what is up.
+        DataError: neither the file nor its figure tells the unit, or what is up; or what is given is none of these.
     """
     skeleton = getattr(figure, "skeleton", None)
     names = [name.lower().rpartition(":")[2] for name in (skeleton or figure).names]
@@ -128,8 +119,7 @@ def to_world(
             remedy = f"say it with unit=, or --unit: one of {', '.join(UNITS)}"
             raise at.error("neither the file nor its points say the unit", remedy=remedy)
         notes += [said] if said else []
-    scale = UNITS[unit] if isinstance(unit, str) else float(unit)
-    return _turned(replace(figure, notes=tuple(notes)), scale, axes or table[up])
+    return _turned(replace(figure, notes=tuple(notes)), metres(unit), axes or table.get(up, up))
 
 
 def _turned(figure: Figure, scale: float, axes: str) -> Figure:
@@ -253,6 +243,8 @@ def rerooted(
     """
     names, parents, offset = skeleton.names, skeleton.parents, skeleton.offsets.double().numpy()
     reach = longest_chain(skeleton) or 1e-12
+    if translations not in ("strict", "mean"):
+        raise at.error(f"expected 'strict' or 'mean', got {translations!r}", place="translations")
     strays = np.abs(place - offset).max((0, 2)) > SAME * reach
     chain = _trunk(parents)
     top = [0, *(joint for joint in chain if strays[joint])][-1]

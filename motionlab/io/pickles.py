@@ -112,8 +112,9 @@ _BUILT = {
         "torch._utils._rebuild_parameter", "torch.storage._load_from_bytes", "joblib.numpy_pickle.NumpyArrayWrapper",
     )},
     "torch.Size": tuple,
-    **{f"torch.{name}Storage": getattr(torch, f"{name}Storage").dtype for name in (
-        "Double", "Float", "Half", "BFloat16", "Long", "Int", "Short", "Char", "Byte", "Bool", "ComplexFloat",
+    "torch.CharStorage": torch.int8, "torch.ByteStorage": torch.uint8,
+    **{f"torch.{name}Storage": getattr(torch, name.lower()) for name in (
+        "Double", "Float", "Half", "BFloat16", "Long", "Int", "Short", "Bool",
     )},
 }  # fmt: skip
 _SPARSE = re.compile(r"scipy\.sparse\.(?:_?cs[cr]\.)?(cs[cr])_(?:matrix|array)")

@@ -71,7 +71,6 @@ def load_trc(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes
     Raises:
         DataError: header and table do not fit each other, a cell is not a number, the unit is not known.
     """
-    judging.check_given(unit, up, axes)
     with reading(path, "export the table again as a TRC file") as at:
         head, names, rows = trc_table(at, read_text(at))
         rate = frame_rate(at, float(head["DataRate"]) if fps is None else fps, "line 3, DataRate", judging.SAY_RATE)
@@ -148,7 +147,6 @@ def load_c3d(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes
 
     Source: The C3D file format user guide (C3D.org), sections on header, parameters and 3-D data.
     """
-    judging.check_given(unit, up, axes)
     with reading(path, "export the C3D file again") as at:
         data = read_bytes(at)
         if len(data) < 2 * _C3D_BLOCK or data[1] != 0x50:

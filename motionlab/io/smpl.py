@@ -174,7 +174,6 @@ def load_motion(path: str | Path, *, person: int = 0, up: Axes = None, axes: Axe
         DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ;
             nothing that a pickle asks for is executed.
     """
-    judging.check_given(None, up, axes)
     with reading(path, 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"') as at:
         arrays, (system, says_up, usual) = _arrays(at, person)
         turns = _turns(at, arrays)
