@@ -13,7 +13,7 @@ from loaders import refused
 from motionlab import io, rotation
 from motionlab.animate import rewriting
 from motionlab.errors import DataError
-from motionlab.io import bvh, gltf
+from motionlab.io import bvh
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD, UPRIGHT
 from tests.figures import standing
@@ -215,9 +215,8 @@ def test_translation_in_a_joint_below_the_root_is_composed(tmp_path):
 
 def test_bones_that_change_their_length_are_refused_or_averaged(tmp_path):
     path = write(tmp_path, moved_hips("0 0 0 0 0 0", "0 93 5 0 0 0", leg_shift=9.0))
-    for load in (bvh.load, gltf.load):
-        with pytest.raises(ValueError, match="translations"):
-            load(path, translations="median")
+    with pytest.raises(ValueError, match="translations"):
+        bvh.load(path, translations="median")
     with pytest.raises(DataError, match=r"line 10.*Leg moves.*translations"):
         bvh.load(path)
     motion = bvh.load(path, translations="mean", unit="cm", up="y")
@@ -234,8 +233,8 @@ WRONG = {  # name: (file, words of the message)
     "another format": ('{"Frames": []}', "line 1.*expected HIERARCHY"),
     "no HIERARCHY": (TEXT.replace("HIERARCHY\n", ""), "line 1.*expected HIERARCHY"),
     "no ROOT": (TEXT.replace("ROOT Hips", "JOINT Hips"), "line 2.*expected ROOT"),
-    "two ROOTs": (TEXT.replace("JOINT Leg", "ROOT Leg"), "line 15.*second ROOT"),
-    "no MOTION": (TEXT.replace("MOTION\n", ""), "line 30.*expected JOINT"),
+    "two ROOTs": (TEXT.replace("JOINT Leg", "ROOT Leg"), "line 15.*ROOT Leg.*one figure a file"),
+    "no MOTION": (TEXT.replace("MOTION\n", ""), "line 30.*expected MOTION"),
     "ends in the hierarchy": (cut("JOINT Leg"), "ends before MOTION"),
     "ends after MOTION": (cut("Frames:"), "ends before 'Frames:'"),
     "ends after Frames": (cut("Frame Time"), "ends before 'Frame Time:'"),
@@ -256,9 +255,8 @@ WRONG = {  # name: (file, words of the message)
     "no offset": (TEXT.replace("OFFSET 9 0 0\n", "\n"), "Leg ends without an OFFSET"),
     "duplicate name": (TEXT.replace("JOINT Leg", "JOINT Spine"), "line 15.*second joint named 'Spine'"),
     "no name": (TEXT.replace("JOINT Leg", "JOINT"), "line 15.*without a name"),
-    "brace missing": (TEXT.replace("}\nMOTION", "MOTION"), "braces of Hips are still open"),
-    "brace too many": (TEXT.replace("}\nMOTION", "}\n}\nMOTION"), "line 30.*expected JOINT"),
-    "no opening brace": (TEXT.replace("ROOT Hips\n{", "ROOT Hips\n"), "expected {"),
+    "brace missing": (TEXT.replace("}\nMOTION", "MOTION"), "line 29.*expected .*} of Hips"),
+    "brace too many": (TEXT.replace("}\nMOTION", "}\n}\nMOTION"), "line 30.*expected MOTION"),
     "no channels at all": (ONE.replace("CHANNELS 1 Xrotation\n", ""), "no channels"),
     "a point": (ONE, "one point"),
 }
