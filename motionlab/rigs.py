@@ -36,10 +36,6 @@ _BOTH = ("left", "right")
 #: What a skeleton has to have, or nobody can say how it stands.
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in _BOTH for part in ("hip", "knee", "ankle")))
 _LIMBS = (("left_", "leg"), ("left_", "arm"), ("right_", "leg"), ("right_", "arm"), ("", "head"))
-_ORDER = (
-    "pelvis", *WORDS["head"], *(f"{side}_{part}" for limb in ("leg", "arm") for part in WORDS[limb] for side in _BOTH),
-    "spine1", "spine2", "spine3",
-)  # fmt: skip
 _SIDES = {
     **dict.fromkeys("l lf lft left 左".split(), "left"), **dict.fromkeys("r rt rgt right 右".split(), "right"),
     **dict.fromkeys("c m x center centre".split(), ""),
@@ -52,7 +48,6 @@ _PARTS = {word: part for part, ranks in _RANKS.items() for word in ranks}
 _ALIKE = {"leg": ("thigh", "shin", "ankle"), "arm": ("upperarm", "forearm", "wrist")}
 _PART = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[ぁ-ヶ一-龠ー]+")
 _COUNTS = {"collar": 0.9, "foot": 0.9}  # a lone shoulder is a shoulder, a lone foot an ankle
-_LISTED = 40  # names that are told of a file
 _MOST = 8  # joints of one part to choose among, and words of a name to read: more are a jest
 
 
@@ -79,8 +74,7 @@ def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
         found = {"neck" if name == "head" else name: j for name, j in found.items()}
     if missing := [name for name in NEEDED if name not in found]:
         told = ", ".join(f"{name} = {skeleton.names[j]}" for name, j in found.items()) or "nothing"
-        called, more = ", ".join(skeleton.names[:_LISTED]), len(skeleton) - _LISTED
-        called += f" and {more} more" if more > 0 else ""
+        called = ", ".join(skeleton.names)
         blank = json.dumps({name: skeleton.names[found[name]] if name in found else "" for name in STANDARD.names})
         remedy = "say what is what by names=, on the command line --names FILE.json, and leave out what the file lacks"
         message = f"its joints are called {called}: found {told}; missing {', '.join(missing)}"
@@ -140,7 +134,7 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[
     for side, limb in _LIMBS:
         chain = [f"{side}{part}" for part in WORDS[limb]]
         found |= _between(chain, None if limb == "leg" else top, parents, above, found)
-    return {name: found[name] for name in _ORDER if name in found}
+    return {name: found[name] for name in STANDARD.names if name in found}
 
 
 def _read(names: Sequence[str]) -> list[tuple[str, str]]:

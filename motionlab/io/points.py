@@ -242,9 +242,6 @@ def _c3d_frame_count(at: Location, header: np.ndarray, parameters: dict, held: i
     if all(end is not None and end.size == 2 for end in ends):
         first, last = (int(end.astype(np.int64) % 65536 @ [1, 65536]) for end in ends)
         return last - first + 1
-    long = parameters.get("POINT:LONG_FRAMES")
-    if long is not None and long.size and long[0] >= 1:
-        return int(long[0])
     count = int(header[4]) - int(header[3]) + 1
     more = held if int(header[4]) == 65535 else count + max(held - count, 0) // 65536 * 65536
     if more > count:

@@ -142,10 +142,9 @@ def check_keys(at: Location, arrays: dict[str, object], keys: Iterable[str]) -> 
 def read_npy(at: Location, data: bytes, objects: Callable | None = None) -> object:
     """Reads the array of a .npy; of one of Python objects what ``objects(at, pickle)`` makes, else it is refused."""
     stream = io.BytesIO(data)
-    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    if (version := np.lib.format.read_magic(stream)) not in header:
-        raise at.error(f"npy version {version} is not known")
-    shape, fortran, dtype = header[version](stream)
+    version = np.lib.format.read_magic(stream)
+    old, new = np.lib.format.read_array_header_1_0, np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = (old if version == (1, 0) else new)(stream)
     if dtype.hasobject:
         if objects is not None:
             return objects(at, stream.read())
@@ -222,10 +221,9 @@ def check_writable(path: str | Path, motion: Motion) -> None:
         ShapeError: the motion has batch axes or no frames.
         DataError: it holds NaN or infinity; names the first such frame.
     """
-    if motion.root.ndim != 2 or motion.skeleton.offsets.ndim != 2:
-        raise ShapeError(f"one clip expected, got root {tuple(motion.root.shape)}: choose one with motion.clip(i)")
-    if motion.frames == 0:
-        raise ShapeError("a motion without frames cannot be written")
+    if motion.root.ndim != 2 or motion.skeleton.offsets.ndim != 2 or not motion.frames:
+        shape = tuple(motion.root.shape)
+        raise ShapeError(f"one clip of some frames expected, got root {shape}: choose one with motion.clip(i)")
     finite = motion.rot.isfinite().flatten(1).all(1) & motion.root.isfinite().all(1)
     if not finite.all():
         place = f"frame {int((~finite).nonzero()[0])}"

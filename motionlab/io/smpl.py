@@ -293,11 +293,6 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
         if "posedirs" in raw:
             posed = checked_array(at, raw["posedirs"], f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")
             posed = torch.from_numpy(posed[..., : 9 * (count - 1)]).float()
-        notes = [f"{at.path.name}: {vertices} vertices, {len(parents)} joints, {shape.shape[-1]} betas"]
-        if len(parents) > count:
-            notes.append(f"weights of joints {count} to {len(parents) - 1} folded into the wrists and the head")
-        if vertices not in _VERTICES:
-            notes.append(f"no keypoint vertices are known for a mesh of {vertices} vertices")
         sole = float(joints[:, 1].min() - template[:, 1].min())
         return BodyModel(
             template=torch.from_numpy(template).float(),
@@ -310,5 +305,4 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
             skeleton=replace(STANDARD, offsets=torch.from_numpy(offsets).float(), sole=sole),
             keypoint_vertices=dict(zip(_POINTS, _VERTICES.get(vertices, ()), strict=False)),
             pose_directions=posed,
-            notes=tuple(notes),
         )
