@@ -115,10 +115,9 @@ def retarget(
         raise ShapeError(f"{motion.name or 'motion'} has no frames")
     if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
         raise DataError("numbers that are not finite", path=motion.name, place="frames", remedy="cut or fill them")
-    if not isinstance(proportions, Skeleton) and proportions not in ("source", "standard"):
-        raise ValueError(f"proportions: expected 'source' or 'standard', got {proportions!r}")
-    if leg is not None and not leg > 0:
-        raise ValueError(f"leg: expected metres above zero, got {leg}")
+    known = isinstance(proportions, Skeleton) or proportions in ("source", "standard")
+    if not known or not (leg is None or leg > 0):
+        raise ValueError(f"expected proportions 'source' or 'standard' and a leg above 0, got {proportions!r}, {leg}")
     source = motion.to(torch.float64)
     if names:
         source = replace(source, skeleton=replace(source.skeleton, roles=names))

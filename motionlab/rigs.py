@@ -246,16 +246,13 @@ def _between(
     """What no name says but the place does: as many joints as are missing between two that are known, or, at the
     end of a limb, an only child below an only child."""
     more: dict[str, int] = {}
-    last, missing = start, []
-    for name in chain:
-        if name not in found:
-            missing += [name] if last is not None else []
-            continue
-        if last is not None and last in above[found[name]]:
-            way = above[found[name]][above[found[name]].index(last) + 1 :]
-            more |= dict(zip(missing, way, strict=True)) if len(way) == len(missing) else {}
-        last, missing = found[name], []
-    for name in missing if last != start else []:
+    known = [(-1, start)] if start is not None else []
+    known += [(place, found[name]) for place, name in enumerate(chain) if name in found]
+    for (i, a), (k, b) in pairwise(known):
+        way = above[b][above[b].index(a) + 1 :] if a in above[b] else ()
+        more |= dict(zip(chain[i + 1 : k], way, strict=True)) if len(way) == k - i - 1 else {}
+    end, last = known[-1] if known else (-1, -1)
+    for name in chain[end + 1 :] if end >= 0 else []:
         children = [j for j, parent in enumerate(parents) if parent == last]
         if len(children) != 1:
             break

@@ -110,6 +110,12 @@ def test_round_trip(tmp_path, generator, order, unit, up):
     torch.testing.assert_close(back.positions[:, which], motion.positions, atol=5e-6, rtol=0)
 
 
+def test_end_sites_survive(tmp_path):
+    once = bvh.load(write(tmp_path, TEXT), unit="cm", up="y")
+    bvh.save(tmp_path / "again.bvh", once)
+    assert bvh.load(tmp_path / "again.bvh").skeleton.names == once.skeleton.names
+
+
 def test_every_end_site_has_a_length_and_is_ours_again(tmp_path):
     """Blender: "zero length node found"; what save makes up must not come back as joints, what is measured must."""
     path = tmp_path / "a.bvh"
@@ -282,8 +288,8 @@ def test_positions_that_count_from_the_offsets_are_not_taken_for_them(tmp_path):
 
 
 TIMES = {  # frame time -> frames per second, words of the note
-    "33.333": (30.0, "milliseconds"), "8.3333": (120.0, "milliseconds"), "30": (30.0, "a rate"), "1": (1.0, "no usual"),
-    "0.0333333": (30.0, ""), "16.67": (60.0, "milliseconds"), "33": (30.0, "milliseconds"),
+    "33.333": (30.0, "is taken"), "8.3333": (120.0, "is taken"), "30": (30.0, "is taken"), "1": (1.0, "no usual"),
+    "0.0333333": (30.0, ""), "16.67": (60.0, "is taken"), "33": (30.0, "is taken"),
 }  # fmt: skip
 
 

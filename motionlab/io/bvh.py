@@ -215,12 +215,11 @@ def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
 def _motion(at: Location, lines: Iterator[str], width: int, fps: Fps) -> tuple[np.ndarray, float]:
     header, places = [], []
     for key in ("Frames", "Frame Time"):
-        line = next(lines, None)
-        if line is None:
-            raise at.error(f"the file ends before '{key}:': it is truncated")
+        line = next(lines, "")
         name, _, value = line.partition(":")
         if name.lower().split() != key.lower().split():
-            raise at.error(f"expected '{key}:', got {line[:40]!r}")
+            what = f"expected '{key}:', got {line[:40]!r}"
+            raise at.error(what if line else f"the file ends before '{key}:': it is truncated")
         header.append(float(value))
         places.append(at.place)
     frames, frame_time = header
@@ -247,9 +246,8 @@ def _rate(at: Location, frame_time: float, line: str) -> float:
     digits = len(line.partition(".")[2])
     if frame_time > 2:
         near = (rate for rate in RATES if abs(1000 / rate - frame_time) < 10.0**-digits)  # 16.67 ms is 60 a second
-        fps, what = next(near, 1000 / frame_time), "milliseconds"
-        fps, what = (frame_time, "a rate") if frame_time in RATES else (fps, what)
-        taken = f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second"
+        fps = frame_time if frame_time in RATES else next(near, 1000 / frame_time)
+        taken = f"a frame time of {frame_time:g} s is taken as {fps:g} frames per second"
         at.notes.append(f"{taken}: give the right one with fps=, or --fps-in")
         return fps
     whole = max(round(1 / frame_time), 1)

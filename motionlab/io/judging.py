@@ -38,7 +38,7 @@ Unit, Axes, Fps = str | float | None, str | None, float | None
 Figure = TypeVar("Figure")  # a Motion, or points.Positions
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
 SAME, RIGID = 0.002, 0.02
-_TRUNK = 0.8  # the figure goes on in the child that holds so much of all that is below
+_TRUNK = 0.75  # the figure hangs on a joint that so much of all hangs on
 
 
 def axes_to_matrix(axes: str) -> Tensor:
@@ -127,9 +127,8 @@ def _turned(figure: Figure, scale: float, axes: str) -> Figure:
     if not isinstance(figure, Motion):
         return replace(figure, positions=(scale * figure.positions @ world.T).float())
     skeleton, root, rot = figure.skeleton, figure.root, figure.rot.clone()
-    if axes != "xyz" or scale != 1:
-        rot[:, 0] = world.to(rot) @ rot[:, 0]
-        root = scale * root @ world.to(root).T
+    rot[:, 0] = world.to(rot) @ rot[:, 0]
+    root = scale * root @ world.to(root).T
     if skeleton.offsets.dtype != torch.float32 or scale != 1:
         skeleton = replace(skeleton, offsets=skeleton.offsets * scale).to(torch.float32)
     return replace(figure, skeleton=skeleton, root=root.float(), rot=rot.float())
@@ -246,9 +245,10 @@ def rerooted(
     if translations not in ("strict", "mean"):
         raise at.error(f"expected 'strict' or 'mean', got {translations!r}", place="translations")
     strays = np.abs(place - offset).max((0, 2)) > SAME * reach
-    chain = _trunk(parents)
-    top = [0, *(joint for joint in chain if strays[joint])][-1]
-    above = chain[: chain.index(top)]
+    paths = ancestors(parents)
+    size = Counter(joint for path in paths for joint in path)
+    top = [0, *(joint for joint in range(len(parents)) if strays[joint] and size[joint] >= _TRUNK * size[0])][-1]
+    above = paths[top]
     root, first = torch.from_numpy(place[:, top]), rot[:, top]
     for joint in reversed(above):
         root = torch.from_numpy(place[:, joint]) + (rot[:, joint] @ root[..., None])[..., 0]
@@ -256,7 +256,7 @@ def rerooted(
     if above:
         said = ", ".join(names[j] for j in above)
         at.notes.append(f"root is {names[top]}, whose position changes; it takes on the motion of {said} above")
-    kept = [j for j, path in enumerate(ancestors(parents)) if top in (j, *path)]
+    kept = [j for j, path in enumerate(paths) if top in (j, *path)]
     if beside := [name for j, name in enumerate(names) if j not in (*kept, *above)]:
         at.notes.append(f"joints beside the root are left out: {', '.join(beside)}")
     mean = place.mean(0)
@@ -268,24 +268,9 @@ def rerooted(
                 remedy = 'translations="mean", or --translations mean, keeps its mean place'
                 raise at.error(f"{what}: bones of changing length", place=lines[j], remedy=remedy)
             at.notes.append(f"{what}: its mean place is kept")
-        elif strays[j]:
-            off = np.abs(mean[j] - offset[j]).max() / reach
-            at.notes.append(f"{names[j]} is always {off:.1%} of the figure off its OFFSET: believed as it moves")
     rot = rot[:, kept].clone()
     rot[:, 0] = first
     offsets = torch.from_numpy(np.where(strays[:, None], mean, offset)[kept])
     offsets[0] = 0
     tree = (-1, *(kept.index(parents[j]) for j in kept[1:]))
     return kept, Skeleton(tuple(names[j] for j in kept), tree, offsets), root, rot
-
-
-def _trunk(parents: tuple[int, ...]) -> list[int]:
-    """From the root down, as long as one child holds nearly all that is below."""
-    size = Counter(j for child, path in enumerate(ancestors(parents)) for j in (child, *path))
-    chain = [0]
-    while below := [j for j, parent in enumerate(parents) if parent == chain[-1]]:
-        trunk = max(below, key=lambda j: size[j])
-        if len(below) > 1 and size[trunk] < _TRUNK * (size[chain[-1]] - 1):
-            break
-        chain.append(trunk)
-    return chain
