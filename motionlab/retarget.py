@@ -150,8 +150,7 @@ def retarget(
     unmapped = tuple(name for name in STANDARD.names if name not in where)
     notes = [f"joints recognised: {len(where)} of {len(STANDARD)}"]
     notes += [f"how the joints are turned is taken from the {body.source}"] if body.source != ZERO else []
-    way = "raised" if lift > 0 else "lowered"
-    notes += [f"{way} by {abs(lift):.3f} m, so that the feet stand on the floor"] if abs(lift) > 0.0005 else []
+    notes += [f"raised by {lift:.3f} m, so that the feet stand on the floor"] if abs(lift) > 0.0005 else []
     guesses = [f"{name} = {called[j]}" for name, j in guessed_joints(source.skeleton, body.joints).items()]
     notes += [f"said by no name, taken by their place: {', '.join(guesses)}"] if guesses else []
     notes += [f"the file has no {', '.join(unmapped)}: made up from the joints around"] if unmapped else []

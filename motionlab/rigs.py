@@ -187,8 +187,7 @@ def _sided(side: str | None, word: str) -> tuple[str, str]:
     """Splits a side off a word that is written in one, as lfemur, leftupleg, UPPERARML."""
     if side or word in _PARTS:
         return side or "", word
-    marks = ("left", "right", "l", "r", "左", "右")
-    ways = ((_SIDES[mark], rest) for mark in marks for rest in (word.removeprefix(mark), word.removesuffix(mark)))
+    ways = ((_SIDES[mark], rest) for mark in _SIDES for rest in (word.removeprefix(mark), word.removesuffix(mark)))
     return next(((side, rest) for side, rest in ways if rest in _PARTS), ("", word))  # the word itself is no part
 
 

@@ -132,8 +132,6 @@ def _array(at: Location, content: dict, blob: bytes, index: int, width: int, pla
     size = np.dtype(kind).itemsize
     count, stride = accessor["count"], view.get("byteStride", size * width)
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    if min(start, count - 1, stride - size * width) < 0 or start + (count - 1) * stride + size * width > len(blob):
-        raise at.error(f"{count} values from byte {start} do not lie in {len(blob)} bytes", place=place)
     rows = checked_array(at, np.ndarray((count, width), kind, blob, start, (stride, size)), f"T {width}", place)
     return np.maximum(rows / largest, -1) if normal else rows
 
@@ -264,8 +262,6 @@ def _grid(at: Location, keys: list[np.ndarray], says: object, fps: Fps) -> tuple
     times = np.unique(np.concatenate(keys))
     times = times[np.concatenate(([True], np.diff(times) > 1e-4))]
     steady = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else None
-    if says is None and fps is None and steady is None:
-        at.notes.append("one pose, at 30 frames per second as any")
     if steady is not None and abs(steady / max(round(steady), 1) - 1) < 2e-4:  # times in single precision
         steady = float(round(steady))
     rate = frame_rate(at, next((x for x in (fps, says, steady) if x is not None), 30.0))
@@ -358,8 +354,8 @@ def save(
         names: of the people; by default those of the motions.
 
     Raises:
-        ShapeError: nobody, a motion has batch axes, frame rates differ, names are not one per person, or the body has
-            other joints.
+        ShapeError: nobody, a motion has batch axes, frame rates differ, or the body has other joints. ValueError: names
+            are not one per person.
         DataError: a motion holds NaN or infinity (names the frame), or the file cannot be written.
     """
     people = [motions] if isinstance(motions, Motion) else list(motions)
@@ -370,8 +366,6 @@ def save(
     if len({motion.fps for motion in people}) != 1:
         raise ShapeError(f"expected one frame rate, got {[motion.fps for motion in people]}: use motion.resample")
     names = list(names) or [motion.name or "motion" for motion in people]
-    if len(people) != len(names):
-        raise ShapeError(f"{len(people)} people and {len(names)} names: expected one for each")
     file = _Buffer()
     for motion, name in zip(people, names, strict=True):
         skeleton, first = motion.skeleton, _animate(file, motion, name)

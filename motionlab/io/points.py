@@ -3,10 +3,9 @@
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import torch
@@ -51,13 +50,6 @@ class Positions:
     def frames(self) -> int:
         """Number of frames T."""
         return self.positions.shape[0]
-
-    def select(self, names: list[str] | tuple[str, ...]) -> Self:
-        """Returns some of the points, in the order asked for; KeyError lists the names."""
-        if missing := [name for name in names if name not in self.names]:
-            raise KeyError(f"no point {', '.join(missing)}; points are {', '.join(self.names)}")
-        pick = [self.names.index(name) for name in names]
-        return replace(self, names=tuple(names), positions=self.positions[:, pick], valid=self.valid[:, pick])
 
 
 def load_trc(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes = None, fps: Fps = None) -> Positions:
@@ -153,8 +145,6 @@ def load_c3d(path: str | Path, *, unit: Unit = None, up: Axes = None, axes: Axes
             raise at.error("not a C3D file: no key 0x50 in a header of 512 bytes", place="byte 1")
         start = _C3D_BLOCK * (data[0] - 1)
         at.place = "parameter section"
-        if not _C3D_BLOCK <= start <= len(data) - 4:
-            raise at.error(f"lies at byte {start} of {len(data)}")
         if (kind := data[start + 3]) not in _C3D_ORDERS:
             raise at.error(f"processor type {kind} is not read", remedy="convert the file to Intel (84)")
         header = np.frombuffer(data, f"{_C3D_ORDERS[kind]}u2", _C3D_BLOCK // 2)
@@ -225,7 +215,7 @@ def _c3d_table(
         raise at.error(f"scale {scale} is not usable")
     width, start = 4 * count + int(header[2]), _C3D_BLOCK * (int(header[8]) - 1)
     held = max(length - start, 0) // (width * kind)
-    frames = _c3d_frame_count(at, header, parameters, held)
+    frames = _c3d_frame_count(header, parameters, held)
     if start < _C3D_BLOCK or not 0 < frames <= held:
         raise at.error(f"expected {frames} frames of {width} numbers from byte {start}, the file holds {held}")
     table = numbers(kind, frames * width, start).reshape(frames, width)[:, : 4 * count]
@@ -235,15 +225,12 @@ def _c3d_table(
     return checked_array(at, xyz, f"T {count} 3"), measured
 
 
-def _c3d_frame_count(at: Location, header: np.ndarray, parameters: dict, held: int) -> int:
-    """From the 32-bit frame numbers of long recordings, else the header's 16 bits, which end at 65535 or start again;
+def _c3d_frame_count(header: np.ndarray, parameters: dict, held: int) -> int:
+    """From the 32-bit frame numbers of long recordings, else the header's 16 bits, which end at 65535 or start again:
     then as many as the file has room for."""
     ends = [parameters.get(f"TRIAL:ACTUAL_{end}_FIELD") for end in ("START", "END")]
     if all(end is not None and end.size == 2 for end in ends):
         first, last = (int(end.astype(np.int64) % 65536 @ [1, 65536]) for end in ends)
         return last - first + 1
     count = int(header[4]) - int(header[3]) + 1
-    more = held if int(header[4]) == 65535 else count + max(held - count, 0) // 65536 * 65536
-    if more > count:
-        at.notes.append(f"the header counts no further than 65535 frames: {more} are in the file")
-    return max(more, count)
+    return max(held if int(header[4]) == 65535 else count + max(held - count, 0) // 65536 * 65536, count)

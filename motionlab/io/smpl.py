@@ -32,8 +32,8 @@ from motionlab.io.reading import (
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 
-#: Joints of a model -> its name. All begin with the same 22: root and 21 body joints.
-MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
+#: Joints of SMPL, SMPL+H and SMPL-X. All begin with the same 22: root and 21 body joints.
+_MODELS = (24, 52, 55)
 #: Keys of poses, whole or split, of translations and of frame rates; what is in the world before what is in a camera.
 POSES = ("pose_world", "poses", "smpl_poses", "pose", "fullpose", "pred_rotmat")
 ROOT, PARTS = ("root_orient", "global_orient", "poses_root"), ("pose_body", "body_pose", "poses_body")
@@ -48,7 +48,7 @@ _SYSTEMS = {
 }  # fmt: skip
 _OF_FRAME = ("tid", "smpl", "camera", "tracked_time")  # lists of PHALP's: a number, a body, where, frames unseen
 #: Columns a joint, over three, of which there are twice as many: 6-D rotations.
-_DOUBLE = {2 * joints for joints in (BODY - 1, BODY, BODY + 1, *MODELS)}
+_DOUBLE = {2 * joints for joints in (BODY - 1, BODY, BODY + 1, *_MODELS)}
 _FASTEST, _FARTHEST = 30.0, 30.0  # metres a second, and from the origin: more are hardly a person's
 
 
@@ -87,16 +87,12 @@ def _by_person(at: Location, tree: object) -> object:
         return tree
     people: dict[int, dict[str, list]] = {}
     for frame in frames:
-        if lacking := sorted({*_OF_FRAME, "time"} - frame.keys()):
-            raise at.error(f"a frame of PHALP lacks {', '.join(lacking)}", remedy="write it with PHALP anew")
         for who, body, place, unseen in zip(*(frame[key] for key in _OF_FRAME), strict=True):
             if not array_of(at, unseen):
                 row = {"transl": place, "frame_ids": frame["time"]} | {key: body[key] for key in (ROOT[1], PARTS[1])}
                 own = people.setdefault(int(array_of(at, who)), {key: [] for key in row})
                 for key, value in row.items():
                     own[key].append(value)
-    if not people:
-        raise at.error("in no frame of PHALP anybody was seen", remedy="track a film in which somebody is")
     return {"phalp_cam": people}
 
 
@@ -177,7 +173,7 @@ def load_motion(path: str | Path, *, person: int = 0, up: Axes = None, axes: Axe
     with reading(path, 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"') as at:
         arrays, (system, says_up, usual) = _arrays(at, person)
         turns = _turns(at, arrays)
-        frames, joints = turns.shape[:2]
+        frames = len(turns)
         *_, key = keys_of(arrays)
         if not key:
             raise at.error("this key is missing", place="trans")
@@ -197,9 +193,6 @@ def load_motion(path: str | Path, *, person: int = 0, up: Axes = None, axes: Axe
         if fast > _FASTEST or far > _FARTHEST:
             at.notes.append(f"{key} moves by up to {fast:.3g} m/s, {far:.3g} m from the origin: is it in metres?")
         at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
-        if joints > BODY:
-            model = MODELS.get(joints, f"{joints} joints")
-            at.notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
         rot = rotation.axis_angle_to_matrix(torch.from_numpy(turns[:, :BODY]))
         motion = Motion(STANDARD, torch.from_numpy(trans), rot, rate, contacts, at.path.stem, tuple(at.notes))
         return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)
