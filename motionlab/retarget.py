@@ -13,7 +13,7 @@ from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.ik import two_bone_ik
 from motionlab.motion import Motion
-from motionlab.rest import MOVED, SQUARE, ZERO, reframed, rest_poses
+from motionlab.rest import MOVED, SQUARE, ZERO, rest_poses
 from motionlab.rigs import dropped_joints, find_joints, guessed_joints
 from motionlab.skeleton import BALLS, FEET, STANDARD, Skeleton, fk
 
@@ -181,10 +181,8 @@ def retarget_onto(motion: Motion, rig: Motion) -> Retargeted:
     bones = retarget(rig.cut(0, 1), floor=False, body=body).motion.skeleton
     found = retarget(motion, proportions=bones, leg=_leg_length(body), body=source)
     made = put_on(found.motion, rig.skeleton, body)
-    follow, every, off = len(body.joints), len(rig.skeleton), 100 * found.residual
-    notes = [f"joints of the rig that follow: {follow} of {every}" + "; the others stay as at rest" * (follow < every)]
-    notes += [f"scaled by {found.scale:.3f}, as the rig's legs are"]
-    notes += [f"joints are {off:.1f} cm on average from where the file's are, as the bodies differ"]
+    notes = [f"scaled by {found.scale:.3f}, as the rig's legs are"]
+    notes += [f"joints are {100 * found.residual:.1f} cm on average from where the file's are, as the bodies differ"]
     lacks = [name for name in source.joints if name not in body.joints]
     notes += [f"not carried over, as the rig has none: {', '.join(lacks)}"] if lacks else []
     skeleton, used = motion.skeleton, {*source.joints.values()}
@@ -214,33 +212,6 @@ def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:
     hips = places[:, STANDARD.indices(["left_hip", "right_hip"])].mean(1)
     root = hips - own[:, [body.joints["left_hip"], body.joints["right_hip"]]].mean(1)
     return Motion(skeleton, root, rot, motion.fps, name=motion.name)
-
-
-def with_rest(motion: Motion, pose: str) -> Motion:
-    """Computes the same movement on a skeleton of which nothing is turned where it stands in a T, or with its arms half
-    down in an A: what Blender, Unity and Unreal take for its rest pose.
-
-    R' = R G^T S A^T: as :func:`retarget` to the T-pose, then A to the other; bones and places of joints stay.
-
-    Args:
-        motion: (T) on any joints that are found.
-        pose: "t" or "a".
-
-    Raises:
-        DataError: as :func:`match_joints`.
-    """
-    body, skeleton = match_joints(motion), motion.skeleton
-    quarter = {"left_shoulder": -0.25, "right_shoulder": 0.25} if pose == "a" else {}
-    arms = {j: torch.tensor(quarter[name]).double() for name, j in body.joints.items() if name in quarter}
-    correction = {j: _corrections(body)[STANDARD.index(name)] for name, j in body.joints.items()}
-    frames, down = [], []
-    for j, parent in enumerate(skeleton.parents):
-        frames.append(correction[j] if j in correction else frames[parent] if parent >= 0 else _EYE)
-        turned = rotation.rotation_about("z", torch.pi * arms[j]) if j in arms else _EYE
-        down.append(turned @ down[parent] if parent >= 0 else turned)
-    new = body.rest_rot.mT @ torch.stack(frames) @ torch.stack(down).mT
-    turned, rot = reframed(skeleton.to(torch.float64), motion.rot.double(), new.mT)
-    return replace(motion, skeleton=turned.to(skeleton.offsets), rot=rot.to(motion.rot))
 
 
 def _lost(body: Match, skeleton: Skeleton, positions: Tensor, world: Tensor) -> dict[int, float]:

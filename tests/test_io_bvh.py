@@ -181,8 +181,6 @@ def test_translation_in_a_joint_below_the_root_is_composed(tmp_path):
 
 def test_bones_that_change_their_length_are_refused_or_averaged(tmp_path):
     path = write(tmp_path, moved_hips("0 0 0 0 0 0", "0 93 5 0 0 0", leg_shift=9.0))
-    with pytest.raises(ValueError, match="translations"):
-        bvh.load(path, translations="median")
     with pytest.raises(DataError, match=r"line 10.*Leg moves.*translations"):
         bvh.load(path)
     motion = bvh.load(path, translations="mean", unit="cm", up="y")
@@ -214,7 +212,7 @@ WRONG = {  # name: (file, words of the message)
     "zero frames": (cut("1 91").replace("Frames: 2", "Frames: 0"), "line 31.*no frames"),
     "frame time zero": (TEXT.replace("0.033333", "0"), "line 32.*frame time"),
     "frame time missing": (TEXT.replace("0.033333", ""), "line 32"),
-    "channel count": (TEXT.replace("CHANNELS 3", "CHANNELS 4"), "line 9.*promises 4 and lists 3"),
+    "channel count": (TEXT.replace("CHANNELS 3", "CHANNELS 4"), "line 9.*as many as it promises, got 3"),
     "unknown channel": (TEXT.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Yscale"), "line 9.*channels must be"),
     "channel twice": (TEXT.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Zrotation"), "line 9.*different"),
     "offset of two": (TEXT.replace("OFFSET 9 0 0", "OFFSET 9 0"), "line 17.*expected 3 values"),

@@ -180,8 +180,7 @@ def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
         free = [f"{kind}{axis}" for kind in ("tr" if key == "order" else "r") for axis in "xyz"]
         bone.dof = [word.lower() for word in words]
         if len({*free} & {*bone.dof}) != len(bone.dof) or (key == "order" and len(bone.dof) < len(free)):
-            which = "each" if key == "order" else "some"
-            raise at.error(f"degrees of freedom must be {which} of {' '.join(free)}, once, got {' '.join(words)}")
+            raise at.error(f"degrees of freedom must be of {' '.join(free)}, each once, got {' '.join(words)}")
 
 
 def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) -> tuple[bool, dict[str, np.ndarray]]:

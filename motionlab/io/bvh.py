@@ -204,8 +204,7 @@ def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
         elif head == "CHANNELS":
             names, first = [word.lower() for word in words[1:]], sum(len(other.channels) for other in joints)
             if joint.channels or words[:1] != [str(len(names))]:
-                what = f"CHANNELS promises {' '.join(words[:1])} and lists {len(names)}"
-                raise at.error(f"{joint.name} has CHANNELS twice" if joint.channels else what)
+                raise at.error(f"expected CHANNELS once, and as many as it promises, got {len(names)}")
             if not {*names} <= {*_CHANNELS} or len({*names}) != len(names):
                 raise at.error(f"channels must be different ones of {', '.join(_CHANNELS)}, got {' '.join(words[1:])}")
             joint.channels = {name: column for column, name in enumerate(names, first)}

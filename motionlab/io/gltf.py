@@ -216,10 +216,9 @@ def _animation(at: Location, content: dict, wanted: str | int | None) -> dict:
         at.notes.append("holds no animation: read as the one pose in which its nodes rest")
         return {"samplers": [], "channels": []}
     names = [str(one.get("name", k)) for k, one in enumerate(every)]
-    word = "0" if wanted is None else str(wanted)
-    number = names.index(word) if word in names else int(word) if word.isdecimal() else -1
-    if not 0 <= number < len(every):
-        raise at.error(f"no animation {word!r}: it holds {', '.join(names) or 'none'}", place="animations")
+    known = {str(k): k for k in range(len(every))} | {name: k for k, name in [*enumerate(names)][::-1]}
+    if (number := known.get(str(wanted or 0))) is None:
+        raise at.error(f"no animation {wanted!r}: it holds {', '.join(names) or 'none'}", place="animations")
     if len(every) > 1 and wanted is None:
         others = f"animation {names[0]!r}, the first of {len(every)}: {', '.join(names)}"
         at.notes.append(f"{others}; choose with animation=, or --animation")

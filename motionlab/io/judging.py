@@ -242,8 +242,6 @@ def rerooted(
     """
     names, parents, offset = skeleton.names, skeleton.parents, skeleton.offsets.double().numpy()
     reach = longest_chain(skeleton) or 1e-12
-    if translations not in ("strict", "mean"):
-        raise at.error(f"expected 'strict' or 'mean', got {translations!r}", place="translations")
     strays = np.abs(place - offset).max((0, 2)) > SAME * reach
     paths = ancestors(parents)
     size = Counter(joint for path in paths for joint in path)

@@ -142,9 +142,7 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
         raise _refused(self.at, f"{module}.{name}")
 
     def persistent_load(self, what: tuple) -> _Record:
-        word, kind, key, *_ = what
-        if word != "storage":
-            raise _refused(self.at, f"what it calls {word}")
+        _, kind, key, *_ = what
         return self.storages.setdefault(key, _record("storage")(kind))
 
     def load_build(self) -> None:

@@ -116,8 +116,6 @@ def _turns(at: Location, arrays: dict[str, np.ndarray]) -> np.ndarray:
         raise at.error(f'neither "poses" nor "{(PARTS if root else ROOT)[0]}" is there', place="keys")
     keys = [whole] if whole else [root, parts]
     turns = [_axis_angles(at, arrays[key], key) for key in keys]
-    if len({len(part) for part in turns}) > 1:
-        raise at.error(f"expected equally many frames, got {[len(part) for part in turns]}", place=", ".join(keys))
     turns = np.concatenate(turns, axis=1)
     angles = np.linalg.norm(turns, axis=-1)
     if angles.any() and np.quantile(angles[angles > 0], 0.75) > 2 * np.pi:
@@ -282,9 +280,8 @@ def load(path: str | Path, betas: int = 10) -> BodyModel:
         joints = regressor[:count] @ template
         directions = np.einsum("jv,vcb->jcb", regressor[:count], shape)
         offsets = joints - np.vstack((joints[:1], joints[list(STANDARD.parents[1:])]))
-        posed = None
-        if "posedirs" in raw:
-            posed = checked_array(at, raw["posedirs"], f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")
+        if (posed := raw.get("posedirs")) is not None:
+            posed = checked_array(at, posed, f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")
             posed = torch.from_numpy(posed[..., : 9 * (count - 1)]).float()
         sole = float(joints[:, 1].min() - template[:, 1].min())
         return BodyModel(
