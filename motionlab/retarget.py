@@ -119,8 +119,7 @@ def retarget(
     if not known or not (leg is None or leg > 0):
         raise ValueError(f"expected proportions 'source' or 'standard' and a leg above 0, got {proportions!r}, {leg}")
     source = motion.to(torch.float64)
-    if names:
-        source = replace(source, skeleton=replace(source.skeleton, roles=names))
+    source = replace(source, skeleton=replace(source.skeleton, roles=names or source.skeleton.roles))
     body = body or match_joints(source)
     length = _leg_length(body)
     if not length > 0:
@@ -188,8 +187,7 @@ def retarget_onto(motion: Motion, rig: Motion) -> Retargeted:
     skeleton, used = motion.skeleton, {*source.joints.values()}
     more = [skeleton.names[j] for j in range(len(skeleton)) if j not in used and j in skeleton.parents]
     notes += [f"not carried over, as they are none of the 22 joints: {', '.join(more)}"] if more else []
-    made = replace(made, notes=(), name=motion.name).to(motion.root.dtype)
-    return replace(found, motion=made, notes=(*found.notes, *notes))
+    return replace(found, motion=made.to(motion.root.dtype), notes=(*found.notes, *notes))
 
 
 def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:

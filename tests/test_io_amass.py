@@ -28,8 +28,8 @@ def written(path, content: dict):
     return path
 
 
-@pytest.mark.parametrize(("columns", "model"), [(72, "smpl"), (156, "smplh"), (165, "smplx")])
-def test_body_joints_of_every_layout_agree_with_scipy(tmp_path, columns, model):
+@pytest.mark.parametrize("columns", [72, 156, 165])
+def test_body_joints_of_every_layout_agree_with_scipy(tmp_path, columns):
     content = arrays(columns)
     path = written(tmp_path / "a.npz", content)
     motion = smpl.load_motion(path)
@@ -37,7 +37,6 @@ def test_body_joints_of_every_layout_agree_with_scipy(tmp_path, columns, model):
     np.testing.assert_allclose(motion.rot.reshape(-1, 3, 3).numpy(), expected, atol=1e-6)
     np.testing.assert_allclose(motion.root.numpy(), content["trans"], atol=1e-6)
     assert motion.fps == 120 and motion.skeleton is STANDARD
-    assert any(note.startswith(f"{model}: hands") for note in motion.notes)
 
 
 def test_split_keys_are_the_whole_pose(tmp_path):
@@ -47,7 +46,7 @@ def test_split_keys_are_the_whole_pose(tmp_path):
     split["mocap_frame_rate"] = np.array(120.0)
     a, b = smpl.load_motion(written(tmp_path / "a.npz", whole)), smpl.load_motion(written(tmp_path / "b.npz", split))
     torch.testing.assert_close(a.rot, b.rot, atol=0, rtol=0)
-    assert a.fps == b.fps == 120 and [any("smplx: hands" in n for n in each.notes) for each in (a, b)] == [True, False]
+    assert a.fps == b.fps == 120
 
 
 @pytest.mark.parametrize("key", smpl.RATES)
