@@ -165,7 +165,7 @@ WRONG = {  # name: (asf, amc, words)
     "two parents": (ASF.replace("root lfemur thorax", "root lfemur thorax ltibia"), AMC, "ltibia has two parents"),
     "cycle": (ASF.replace("root lfemur thorax", "root thorax\n    ltibia lfemur"), AMC, "ltibia hang on nothing"),
     "axis order": (ASF.replace("axis XYZ", "axis XYX"), AMC, "axis order"),
-    "no frames": (ASF, AMC[: AMC.index("1\n")], "no frames"),
+    "no frames": (ASF, AMC[: AMC.index("1\n")], "frame 1 without root"),
     "bone missing in frame": (ASF, AMC.replace("ltibia 22\n", ""), "line 9.*ltibia .* not in the one before"),
     "truncated frame": (ASF, AMC[: AMC.index("lfemur -25")], "frame 2 without lfemur"),
     "value missing": (ASF, AMC.replace("lfemur -28 5 -20", "lfemur -28 5"), "line 6.*expected 3 values, got 2"),

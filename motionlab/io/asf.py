@@ -145,15 +145,17 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
             _tell(at, bone, key, words)
     if bone is not None:
         raise at.error(f"bone {name} has no end: the file is truncated")
-    placed = ["root", "begin", "end"]
+    placed = {"root"}
     for at.place, parent, below in sections["hierarchy"]:
-        for name in (parent, *below) if parent not in placed[1:3] else ():
+        if parent in ("begin", "end"):
+            continue
+        for name in (parent, *below):
             if name not in bones:
                 raise at.error(f"bone {name!r} is not in :bonedata")
         for name in below:
             if name in placed:
                 raise at.error(f"{name} has two parents")
-            placed.append(name)
+            placed.add(name)
             bones[parent].children.append(name)
     at.place = "section :units"
     units = {key.lower(): words for _, key, words in sections["units"]}
@@ -200,8 +202,6 @@ def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) 
             if len(values[name]) != frames - 1:
                 raise at.error(f"{name} twice in one frame, or not in the one before")
             values[name].append(floats(at, words, len(bones[name].dof)))
-    if not frames:
-        raise at.error("no frames: truncated, or no AMC")
-    if missing := [name for name, rows in values.items() if len(rows) < frames]:
-        raise at.error(f"frame {frames} without {', '.join(missing)}: truncated")
+    if missing := [name for name, rows in values.items() if len(rows) < max(frames, 1)]:
+        raise at.error(f"frame {max(frames, 1)} without {', '.join(missing)}: truncated, or no AMC")
     return degrees, {name: np.stack(rows) for name, rows in values.items()}

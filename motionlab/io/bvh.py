@@ -217,8 +217,7 @@ def _motion(at: Location, lines: Iterator[str], width: int, fps: Fps) -> tuple[n
         line = next(lines, "")
         name, _, value = line.partition(":")
         if name.lower().split() != key.lower().split():
-            what = f"expected '{key}:', got {line[:40]!r}"
-            raise at.error(what if line else f"the file ends before '{key}:': it is truncated")
+            raise at.error(f"expected '{key}:', got {line[:40]!r}, or it is truncated")
         header.append(float(value))
         places.append(at.place)
     frames, frame_time = header

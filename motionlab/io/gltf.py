@@ -216,7 +216,7 @@ def _animation(at: Location, content: dict, wanted: str | int | None) -> dict:
         at.notes.append("holds no animation: read as the one pose in which its nodes rest")
         return {"samplers": [], "channels": []}
     names = [str(one.get("name", k)) for k, one in enumerate(every)]
-    known = {str(k): k for k in range(len(every))} | {name: k for k, name in [*enumerate(names)][::-1]}
+    known = {str(k): k for k in range(len(every))} | {name: names.index(name) for name in names}
     if (number := known.get(str(wanted or 0))) is None:
         raise at.error(f"no animation {wanted!r}: it holds {', '.join(names) or 'none'}", place="animations")
     if len(every) > 1 and wanted is None:
