@@ -21,11 +21,13 @@ ZERO, FIRST = "zero pose", "first frame, a T-pose"
 SQUARE, MOVED = "movement, by right angles", "movement"
 
 _BODY = torch.eye(3, dtype=torch.float64)  # left, up, front
+_SKY = _BODY[2]  # the world is z up
 _PAIRS = [(a, b) for a, b in permutations([*_BODY, *-_BODY], 2) if a @ b == 0]
 _RIGHT_ANGLES = torch.stack([torch.stack((a, b, torch.linalg.cross(a, b))) for a, b in _PAIRS])
 _SQUARE = 0.15  # radians: bones and hinges as near to an axis of their joint, on the whole, are meant to lie on it
 _LIKE = 1.3  # radians: joints of such a rig whose means differ by less are turned alike; hands and heads hang
 _STRAIGHT = 0.02  # a limb that bends less on the whole says little of its hinge
+_LOW = 0.04  # metres: an ankle so near to its lowest may stand
 _FRAMES = 2000  # are enough
 
 #: A figure stands if these bones point so, within 60 degrees, and toes ahead.
@@ -155,6 +157,10 @@ def _means(motion: Motion, joints: dict[str, int], foot: Tensor | None) -> Tenso
         for joint, child in ((hip, knee), (knee, ankle), (ankle, ball)):
             if child in at:
                 put(joint, unit(joint, child), _bone(child) if foot is None or child != ball else foot, hinge, left)
+        if ball not in at:  # its sole is flat where it stands
+            low = at[ankle][:, 2] < at[ankle][:, 2].quantile(0.02) + _LOW
+            stands = (low & (unit(ankle, knee)[:, 2] > 0.7))[:, None]
+            put(ankle, torch.where(stands, _SKY, _STRAIGHT * unit(ankle, knee)), up, hinge, left)
         collar, shoulder, elbow, wrist = (f"{side}_{part}" for part in ("collar", "shoulder", "elbow", "wrist"))
         if collar in at and shoulder in at:
             put(collar, unit(collar, shoulder), _bone(shoulder), trunk, up)

@@ -1,9 +1,9 @@
 """Retargets a motion of any known skeleton to the standard 22 joints, with its error; feet that stand stay in place.
 
-First how a skeleton is read, then the transfer there and back.
+First how a skeleton is read, then the transfer there and back, then what that loses of a rig.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,11 +13,12 @@ from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.ik import two_bone_ik
 from motionlab.motion import Motion
-from motionlab.rest import MOVED, SQUARE, ZERO, rest_poses
+from motionlab.rest import MOVED, SQUARE, ZERO, reframed, rest_poses
 from motionlab.rigs import dropped_joints, find_joints, guessed_joints
 from motionlab.skeleton import BALLS, FEET, STANDARD, Skeleton, fk
 
 _EYE = torch.eye(3, dtype=torch.float64)
+PLACE, ANGLE = 0.02, 5.0  # metres and degrees that the way there and back may cost a rig, at the 95th percentile
 _LEG = ("hip", "knee", "ankle")
 _LIMBS = ("hip", "knee", "shoulder", "elbow")  # a bone of these names points along the standard's own
 
@@ -115,11 +116,13 @@ def retarget(
         raise ShapeError(f"{motion.name or 'motion'} has no frames")
     if not (motion.root.isfinite().all() and motion.rot.isfinite().all()):
         raise DataError("numbers that are not finite", path=motion.name, place="frames", remedy="cut or fill them")
-    known = isinstance(proportions, Skeleton) or proportions in ("source", "standard")
-    if not known or not (leg is None or leg > 0):
-        raise ValueError(f"expected proportions 'source' or 'standard' and a leg above 0, got {proportions!r}, {leg}")
+    if not isinstance(proportions, Skeleton) and proportions not in ("source", "standard"):
+        raise ValueError(f"proportions: expected 'source' or 'standard', got {proportions!r}")
+    if leg is not None and not leg > 0:
+        raise ValueError(f"leg: expected metres above zero, got {leg}")
     source = motion.to(torch.float64)
-    source = replace(source, skeleton=replace(source.skeleton, roles=names or source.skeleton.roles))
+    if names:
+        source = replace(source, skeleton=replace(source.skeleton, roles=names))
     body = body or match_joints(source)
     length = _leg_length(body)
     if not length > 0:
@@ -149,7 +152,8 @@ def retarget(
     unmapped = tuple(name for name in STANDARD.names if name not in where)
     notes = [f"joints recognised: {len(where)} of {len(STANDARD)}"]
     notes += [f"how the joints are turned is taken from the {body.source}"] if body.source != ZERO else []
-    notes += [f"raised by {lift:.3f} m, so that the feet stand on the floor"] if abs(lift) > 0.0005 else []
+    way = "raised" if lift > 0 else "lowered"
+    notes += [f"{way} by {abs(lift):.3f} m, so that the feet stand on the floor"] if abs(lift) > 0.0005 else []
     guesses = [f"{name} = {called[j]}" for name, j in guessed_joints(source.skeleton, body.joints).items()]
     notes += [f"said by no name, taken by their place: {', '.join(guesses)}"] if guesses else []
     notes += [f"the file has no {', '.join(unmapped)}: made up from the joints around"] if unmapped else []
@@ -180,14 +184,17 @@ def retarget_onto(motion: Motion, rig: Motion) -> Retargeted:
     bones = retarget(rig.cut(0, 1), floor=False, body=body).motion.skeleton
     found = retarget(motion, proportions=bones, leg=_leg_length(body), body=source)
     made = put_on(found.motion, rig.skeleton, body)
-    notes = [f"scaled by {found.scale:.3f}, as the rig's legs are"]
-    notes += [f"joints are {100 * found.residual:.1f} cm on average from where the file's are, as the bodies differ"]
+    follow, every, off = len(body.joints), len(rig.skeleton), 100 * found.residual
+    notes = [f"joints of the rig that follow: {follow} of {every}" + "; the others stay as at rest" * (follow < every)]
+    notes += [f"scaled by {found.scale:.3f}, as the rig's legs are"]
+    notes += [f"joints are {off:.1f} cm on average from where the file's are, as the bodies differ"]
     lacks = [name for name in source.joints if name not in body.joints]
     notes += [f"not carried over, as the rig has none: {', '.join(lacks)}"] if lacks else []
     skeleton, used = motion.skeleton, {*source.joints.values()}
     more = [skeleton.names[j] for j in range(len(skeleton)) if j not in used and j in skeleton.parents]
     notes += [f"not carried over, as they are none of the 22 joints: {', '.join(more)}"] if more else []
-    return replace(found, motion=made.to(motion.root.dtype), notes=(*found.notes, *notes))
+    made = replace(made, notes=(), name=motion.name).to(motion.root.dtype)
+    return replace(found, motion=made, notes=(*found.notes, *notes))
 
 
 def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:
@@ -210,6 +217,33 @@ def put_on(motion: Motion, skeleton: Skeleton, body: Match) -> Motion:
     hips = places[:, STANDARD.indices(["left_hip", "right_hip"])].mean(1)
     root = hips - own[:, [body.joints["left_hip"], body.joints["right_hip"]]].mean(1)
     return Motion(skeleton, root, rot, motion.fps, name=motion.name)
+
+
+def with_rest(motion: Motion, pose: str) -> Motion:
+    """Computes the same movement on a skeleton of which nothing is turned where it stands in a T, or with its arms half
+    down in an A: what Blender, Unity and Unreal take for its rest pose.
+
+    R' = R G^T S A^T: as :func:`retarget` to the T-pose, then A to the other; bones and places of joints stay.
+
+    Args:
+        motion: (T) on any joints that are found.
+        pose: "t" or "a".
+
+    Raises:
+        DataError: as :func:`match_joints`.
+    """
+    body, skeleton = match_joints(motion), motion.skeleton
+    quarter = {"left_shoulder": -0.25, "right_shoulder": 0.25} if pose == "a" else {}
+    arms = {j: torch.tensor(quarter[name]).double() for name, j in body.joints.items() if name in quarter}
+    correction = {j: _corrections(body)[STANDARD.index(name)] for name, j in body.joints.items()}
+    frames, down = [], []
+    for j, parent in enumerate(skeleton.parents):
+        frames.append(correction[j] if j in correction else frames[parent] if parent >= 0 else _EYE)
+        turned = rotation.rotation_about("z", torch.pi * arms[j]) if j in arms else _EYE
+        down.append(turned @ down[parent] if parent >= 0 else turned)
+    new = body.rest_rot.mT @ torch.stack(frames) @ torch.stack(down).mT
+    turned, rot = reframed(skeleton.to(torch.float64), motion.rot.double(), new.mT)
+    return replace(motion, skeleton=turned.to(skeleton.offsets), rot=rot.to(motion.rot))
 
 
 def _lost(body: Match, skeleton: Skeleton, positions: Tensor, world: Tensor) -> dict[int, float]:
@@ -288,3 +322,59 @@ def _source_proportions(body: Match, correction: Tensor, standing: Skeleton, sca
             lengths = standing.offsets[way].norm(dim=-1, keepdim=True)
             offsets[way] = lengths / lengths.sum() * bone
     return replace(standing, offsets=offsets)
+
+
+# ------------------------------------------------------------------------------------------------------- certificates
+@dataclass(frozen=True)
+class Certificate:
+    """What the way of recordings of one rig to the standard 22 joints and back costs.
+
+    rig: names and parents. file: the first recording. files: how many. joints: of the 22 that the rig has. source:
+    where its rest pose is taken from. place, angle: metres and degrees by which the body's joints are off, at the
+    95th percentile, in the worst recording. lost: joints that stand where one of the 22 is missing.
+    """
+
+    rig: tuple
+    file: str
+    files: int
+    joints: int
+    source: str
+    place: float
+    angle: float
+    lost: tuple[str, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing is lost and the way costs no more than ``PLACE`` and ``ANGLE``."""
+        return not self.lost and self.place <= PLACE and self.angle <= ANGLE
+
+
+def by_rig(certificates: Iterable[Certificate]) -> list[Certificate]:
+    """Returns the worst of every rig, in the order in which they come; rigs differ in names or tree."""
+    found: dict[object, Certificate] = {}
+    for row in certificates:
+        old = found.get(row.rig, replace(row, files=0))
+        place, angle = max(old.place, row.place), max(old.angle, row.angle)
+        found[row.rig] = replace(old, files=old.files + row.files, place=place, angle=angle)
+    return list(found.values())
+
+
+def certify(motion: Motion) -> Certificate:
+    """Certifies the rig of one recording (T frames).
+
+    Raises:
+        DataError: a skeleton whose joints are not known.
+    """
+    body, motion = match_joints(motion), motion.to(torch.float64)
+    skeleton = motion.skeleton
+    back = put_on(retarget(motion, floor=False, body=body).motion, skeleton, body)
+    lost = dropped_joints(skeleton, body.joints)
+    joints = {*body.joints.values(), *lost}
+    for j in range(len(skeleton) - 1, 0, -1):  # what carries the body belongs to it, fingers and faces do not
+        if j in joints and j != body.joints["pelvis"]:
+            joints.add(skeleton.parents[j])
+    joints = sorted(joints | {j for j, parent in enumerate(skeleton.parents) if parent in lost})
+    off = (back.positions - motion.positions).norm(dim=-1), rotation.geodesic(back.world[1], motion.world[1])
+    place, angle = (float(each[:, joints].flatten().quantile(0.95)) for each in (off[0], torch.rad2deg(off[1])))
+    lost, rig = tuple(skeleton.names[j] for j in lost), (skeleton.names, skeleton.parents)
+    return Certificate(rig, motion.name, 1, len(body.joints), body.source, place, angle, lost)

@@ -48,6 +48,7 @@ _PARTS = {word: part for part, ranks in _RANKS.items() for word in ranks}
 _ALIKE = {"leg": ("thigh", "shin", "ankle"), "arm": ("upperarm", "forearm", "wrist")}
 _PART = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[ぁ-ヶ一-龠ー]+")
 _COUNTS = {"collar": 0.9, "foot": 0.9}  # a lone shoulder is a shoulder, a lone foot an ankle
+_LISTED = 40  # names that are told of a file
 _MOST = 8  # joints of one part to choose among, and words of a name to read: more are a jest
 
 
@@ -74,7 +75,8 @@ def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
         found = {"neck" if name == "head" else name: j for name, j in found.items()}
     if missing := [name for name in NEEDED if name not in found]:
         told = ", ".join(f"{name} = {skeleton.names[j]}" for name, j in found.items()) or "nothing"
-        called = ", ".join(skeleton.names)
+        called, more = ", ".join(skeleton.names[:_LISTED]), len(skeleton) - _LISTED
+        called += f" and {more} more" if more > 0 else ""
         blank = json.dumps({name: skeleton.names[found[name]] if name in found else "" for name in STANDARD.names})
         remedy = "say what is what by names=, on the command line --names FILE.json, and leave out what the file lacks"
         message = f"its joints are called {called}: found {told}; missing {', '.join(missing)}"

@@ -4,12 +4,15 @@ import json
 import pickle
 import re
 import zipfile
+from pathlib import Path
 
+import detected
 import numpy as np
 import pytest
 import seeds
 from loaders import LOADERS, numbers_of, refused
 
+from motionlab import io
 from motionlab.errors import DataError
 from motionlab.io import keypoints, smpl
 
@@ -156,6 +159,48 @@ def test_openpose_folders_that_are_none(tmp_path):
     (tmp_path / "a01.json").rename(tmp_path / "a999999999999.json")
     with pytest.raises(DataError, match="stray"):
         keypoints.load_person(tmp_path, fps=30)
+
+
+class Hostile:
+    """Unpickling this writes a file."""
+
+    def __init__(self, canary: Path) -> None:
+        self.canary = canary
+
+    def __reduce__(self):
+        return Path.touch, (self.canary,)
+
+
+@pytest.fixture
+def canary(tmp_path):
+    """A file that must not appear; the pickle that would make it does so when it is really loaded."""
+    sure = tmp_path / "sure"
+    pickle.loads(pickle.dumps(Hostile(sure)))
+    assert sure.exists()
+    yield tmp_path / "canary"
+    assert not (tmp_path / "canary").exists()
+
+
+@pytest.mark.parametrize("kind", seeds.SEEDS)
+@pytest.mark.parametrize("protocol", [0, 2, 5])
+def test_pickles_are_never_executed(tmp_path, canary, kind, protocol):
+    path = tmp_path / f"bad{kind}"
+    for thing in (Hostile(canary), {"v_template": Hostile(canary)}, {**SMPL, "weights": Hostile(canary)}):
+        path.write_bytes(pickle.dumps(thing, protocol=protocol))
+        with refused("bad"):
+            LOADERS[kind](path)
+
+
+@pytest.mark.parametrize("kind", ["amp.npz", "amass.npz", "smpl.npz", "plain.npz"])
+def test_objects_in_archives_are_never_unpickled(tmp_path, canary, kind):
+    known = {"amp.npz": AMP, "amass.npz": AMASS, "smpl.npz": SMPL}
+    whole = (known | {"plain.npz": detected.plain_arrays()})[kind]
+    path = tmp_path / f"bad{kind}"
+    for key in whole.keys() - {"betas", "gender"}:  # which nothing reads
+        path.write_bytes(archive(whole, **{key: np.array([Hostile(canary)], dtype=object)}))
+        for loader in (LOADERS[kind], io.load_npz, io.load):
+            with pytest.raises(DataError):
+                loader(path)
 
 
 def test_archives_that_promise_too_much(tmp_path):

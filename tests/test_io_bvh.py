@@ -15,7 +15,7 @@ from motionlab.animate import rewriting
 from motionlab.errors import DataError
 from motionlab.io import bvh
 from motionlab.motion import Motion
-from motionlab.skeleton import STANDARD
+from motionlab.skeleton import STANDARD, UPRIGHT
 from tests.figures import standing
 from tests.recorded import DATA, needs_data
 from tests.twins import fk as twin_fk
@@ -87,12 +87,35 @@ def test_agrees_with_a_scalar_reading(tmp_path):
     np.testing.assert_allclose(motion.positions[0].numpy(), expected @ facing_y.T, atol=1e-6)
 
 
+def test_axes_and_units_given_or_detected_and_noted(tmp_path):
+    path = write(tmp_path, TEXT)
+    given_both = bvh.load(path, unit="cm", up="y")
+    assert given_both.notes == ()
+    detected = bvh.load(path)
+    torch.testing.assert_close(detected.positions, given_both.positions)
+    assert any("up axis y detected" in note for note in detected.notes)
+    assert any("unit cm detected" in note for note in detected.notes)
+    z_up = bvh.load(path, unit=0.01, up="z")
+    torch.testing.assert_close(z_up.positions @ UPRIGHT.T, given_both.positions)
+    metres = bvh.load(path, unit="m", up="y")
+    torch.testing.assert_close(metres.positions, 100 * given_both.positions)
+
+
 def test_a_size_that_no_unit_explains_is_scaled_and_said(tmp_path):
     bvh.save(tmp_path / "odd.bvh", standing(), unit=1 / 25)
     loaded = bvh.load(tmp_path / "odd.bvh")
     assert any("no unit fits" in note for note in loaded.notes)
     height = loaded.positions[..., 2].max() - loaded.positions[..., 2].min()
     assert 1.3 < float(height) < 1.8  # 42 units, ankles to head joint
+
+
+def test_z_up_is_detected(tmp_path):
+    motion = standing(at=(0.1, 0.2))
+    bvh.save(tmp_path / "z.bvh", motion, up="z")
+    loaded = bvh.load(tmp_path / "z.bvh")
+    assert any("up axis z detected" in note for note in loaded.notes)
+    order = loaded.skeleton.indices(STANDARD.names)
+    torch.testing.assert_close(loaded.positions[:, order], motion.positions, atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("order", ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"])
@@ -110,10 +133,21 @@ def test_round_trip(tmp_path, generator, order, unit, up):
     torch.testing.assert_close(back.positions[:, which], motion.positions, atol=5e-6, rtol=0)
 
 
+def test_negative_control_wrong_order_is_another_motion(tmp_path, generator):
+    motion = Motion(STANDARD, torch.zeros(4, 3), rotation.random((4, 22), generator), 30.0)
+    bvh.save(tmp_path / "a.bvh", motion, order="ZXY")
+    text = (tmp_path / "a.bvh").read_text().replace("Zrotation Xrotation Yrotation", "Xrotation Zrotation Yrotation")
+    wrong = bvh.load(write(tmp_path, text), unit="cm", up="y")
+    assert rotation.geodesic(wrong.rot, motion.rot[:, motion.skeleton.indices(wrong.skeleton.names)]).mean() > 0.3
+
+
 def test_end_sites_survive(tmp_path):
-    once = bvh.load(write(tmp_path, TEXT), unit="cm", up="y")
+    path = write(tmp_path, TEXT)
+    once = bvh.load(path, unit="cm", up="y")
     bvh.save(tmp_path / "again.bvh", once)
-    assert bvh.load(tmp_path / "again.bvh").skeleton.names == once.skeleton.names
+    again = bvh.load(tmp_path / "again.bvh", unit="cm", up="y")
+    assert again.skeleton.names == once.skeleton.names
+    torch.testing.assert_close(again.positions, once.positions, atol=1e-6, rtol=0)
 
 
 def test_every_end_site_has_a_length_and_is_ours_again(tmp_path):
@@ -263,6 +297,26 @@ def test_agrees_with_bvhio_on_a_recording():
             theirs = np.array(joint.PositionWorld)
             # ours keeps the mean of a joint that moves by millimetres against its parent
             assert np.abs(ours.positions[frame, ours.skeleton.index(joint.Name)].numpy() - theirs).max() < 5e-3
+
+
+@needs_data
+def test_bandai_translation_is_in_the_hips_and_sometimes_in_the_root_too():
+    folder = DATA / "bandai_namco"
+    walk = bvh.load(folder / "dataset-1_walk_normal_001.bvh")
+    assert walk.skeleton.names[0] == "Hips" and walk.fps == 30.0
+    travelled = (walk.root[-1] - walk.root[0])[:2].norm()
+    assert 4 < travelled < 12 and 0.8 < float(walk.root[:, 2].mean()) < 1.0
+    moving = [path for path in sorted(folder.glob("*_normal_*.bvh")) if _rows(path)[:, :6].any()]
+    assert len(moving) == 4  # joint_Root travels in these, and Hips against it
+    for path in moving:
+        rows, loaded = _rows(path), bvh.load(path)
+        hips = rows[:, 6:9] + rows[:, :3]
+        np.testing.assert_allclose(loaded.root.numpy(), hips @ UPRIGHT.numpy().T / 100, atol=1e-5)
+        assert "motion of joint_Root" in loaded.notes[0]
+
+
+def _rows(path: Path) -> np.ndarray:
+    return np.loadtxt(path.read_text().split("Frame Time:")[1].splitlines()[1:])
 
 
 def walker(relative: bool = False, shift: float = 0.0) -> str:

@@ -139,12 +139,14 @@ def test_points_at_exactly_zero_were_not_measured(tmp_path):
 
 @pytest.mark.parametrize(
     ("frames", "last", "entry"),
-    [(66000, 65535, None), (66000, 66000 - 65536, None), (66000, 65535, b"TRIAL")],
+    [(66000, 65535, None), (66000, 66000 - 65536, None), (66000, 65535, b"LONG_FRAMES"), (66000, 65535, b"TRIAL")],
 )
 def test_recordings_longer_than_the_header_counts(tmp_path, frames, last, entry):
     points, names = figure(frames)
     more = b""
-    if entry == b"TRIAL":
+    if entry == b"LONG_FRAMES":
+        more = seeds.c3d_entry(entry, 1, struct.pack("<bBf", 4, 0, frames) + b"\0")
+    elif entry == b"TRIAL":
         more = seeds.c3d_entry(entry, -2, b"\0")
         for name, value in ((b"ACTUAL_START_FIELD", 1), (b"ACTUAL_END_FIELD", frames)):
             more += seeds.c3d_entry(name, 2, struct.pack("<bBB2H", 2, 1, 2, value % 65536, value // 65536) + b"\0")

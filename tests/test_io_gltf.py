@@ -142,6 +142,14 @@ def test_on_other_bones_a_viewer_shows_the_tailored_body_on_the_motion_s_own_joi
     assert away(tailored(body, low.skeleton)) < 1e-3 and away(body) > 0.02
 
 
+def test_a_bind_pose_taken_for_the_t_pose_would_show(tmp_path, body):
+    """Negative control: inverse binds without bind_rot move vertices by centimetres."""
+    gltf.save(tmp_path / "wrong.glb", spin(), replace(body, bind_rot=torch.eye(3).repeat(22, 1, 1)))
+    content, array = parse(tmp_path / "wrong.glb")
+    ours = lbs(body, STANDARD, spin().root, spin().rot)[7].numpy()
+    assert np.abs(viewer_vertices(content, array, 7) @ WORLD_FROM_GLTF.T - ours).max() > 0.05
+
+
 def test_rules_of_gltf(written):
     content, array = parse(written)
     for view in content["bufferViews"]:
@@ -165,6 +173,12 @@ def test_rules_of_gltf(written):
         q = array(content["animations"][0]["samplers"][channel["sampler"]]["output"])
         assert np.allclose(np.linalg.norm(q, axis=1), 1, atol=1e-6)
         assert ((q[1:] * q[:-1]).sum(1) > 0).all(), "a sign flip makes LINEAR turn the long way round"
+
+
+def test_without_unrolling_a_sign_would_flip():
+    """Negative control of the last line above: the motion does need it."""
+    q = rotation.matrix_to_quaternion(spin().rot)
+    assert ((q[1:] * q[:-1]).sum(-1) < 0).any()
 
 
 def test_pygltflib_and_trimesh_open_it(written, body):

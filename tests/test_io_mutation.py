@@ -12,11 +12,13 @@ import detected
 import numpy as np
 import pytest
 import seeds
+import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from loaders import LOADERS, check_error, numbers_of
 
 from motionlab.errors import DataError
+from motionlab.io.points import Positions
 
 WORDS = "nan inf -1 0 1e400 1e39 1e-320 999999999999 -0.0 2147483648 3.5 { } [ ] , ; true null END".split()
 TOKENS = [*(word.encode() for word in WORDS), b'"', b"\t", b"\n", b"\0", b"\xff\xfe", b"\xc3\x28", b"", b"1" * 5000]
@@ -143,3 +145,17 @@ def test_changed_archives_load_or_say_why(folder, kind, arrays):
         loads_or_says_why(kind, folder, data)
 
     run()
+
+
+def test_a_loader_that_lets_something_escape_is_caught(folder, monkeypatch):
+    """Negative control: without its guard, the same mutations bring a bare exception out of a loader."""
+
+    def unguarded(path: Path) -> Positions:
+        rows = [[float(cell) for cell in line.split("\t")] for line in path.read_text().splitlines()[5:]]
+        points = torch.tensor(rows)[:, 2:].unflatten(-1, (-1, 3))
+        return Positions(("A", "B"), points, torch.ones(points.shape[:2], dtype=torch.bool), 60.0)
+
+    monkeypatch.setitem(LOADERS, ".trc", unguarded)
+    with pytest.raises((ValueError, RuntimeError, IndexError, ExceptionGroup)) as caught:
+        test_mutated_files_load_or_say_why(folder, ".trc")
+    assert not isinstance(caught.value, DataError)

@@ -291,10 +291,11 @@ def test_data_prints_the_table_and_then_the_files_that_cannot_be_read(tmp_path, 
     assert "cannot be read: " in printed.err and "bad.bvh" in printed.err and "remedy" in printed.err
 
 
-def test_data_says_first_what_it_guessed(tmp_path, capsys):
+@pytest.mark.parametrize("certify", [[], ["--certify"]])
+def test_data_says_first_what_it_guessed(tmp_path, capsys, certify):
     for n in range(3):
         bvh.save(tmp_path / f"{n}.bvh", standing(4 + n, skeleton=STANDARD.scaled(1 + n / 50)))
-    main = ["data", str(tmp_path)]
+    main = ["data", str(tmp_path), *certify]
     assert __main__.main(main) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "3 such as 0.bvh: u" in lines[0] and "3 such as 0.bvh: u" in lines[1] and not lines[2].startswith("note")

@@ -69,6 +69,49 @@ def test_the_standard_skeleton_comes_back_as_it_is(generator, proportions):
     assert_same(retarget(motion, proportions=proportions, plant=False), motion)
 
 
+def test_more_spine_joints_than_three_keep_first_middle_and_last(generator):
+    names, parents = ["pelvis"], [-1]
+    for i in range(5):
+        names.append(f"vertebra{i}")
+        parents.append(i)
+    table = {n: o for n, o in zip(STANDARD.names, STANDARD.offsets.tolist(), strict=True)}
+    offsets = [[0.0, 0.0, 0.0]] + [[0.0, 0.1, 0.0]] * 5
+    for name, up in zip(STANDARD.names, STANDARD.parents, strict=True):
+        if name != "pelvis" and not name.startswith("spine"):
+            up = STANDARD.names[up]
+            parents.append(0 if up == "pelvis" else 5 if up == "spine3" else names.index(up))
+            names.append(name)
+            offsets.append(table[name])
+    skeleton = Skeleton(tuple(names), tuple(parents), torch.tensor(offsets))
+    result = retarget(wild(generator, skeleton=skeleton))
+    assert [result.names[f"spine{i}"] for i in (1, 2, 3)] == ["vertebra0", "vertebra2", "vertebra4"]
+    assert 0 < result.residual < 0.05  # two vertebrae less than the source
+
+
+def test_an_a_pose_at_rest_is_seen_from_the_t_pose(generator):
+    motion = wild(generator)
+    frames = torch.eye(3, dtype=torch.float64).repeat(22, 1, 1)
+    for side, angle in (("left", 0.8), ("right", -0.8)):
+        for part in ("shoulder", "elbow", "wrist"):
+            frames[STANDARD.index(f"{side}_{part}")] = rotation.rotation_about("z", torch.tensor(angle).double())
+    a_pose = reframed(motion, frames)
+    hand = a_pose.skeleton.rest_positions()[STANDARD.index("left_wrist")]
+    assert hand[1] < STANDARD.rest_positions()[STANDARD.index("left_wrist"), 1] - 0.3
+    assert_same(retarget(a_pose), motion)
+
+
+@pytest.mark.parametrize("to_file", ["z up, facing -y", "z up, facing x", "y up, facing x"])
+def test_any_axes_at_rest(generator, to_file):
+    columns = {  # where the body's left, up and forward point in the file
+        "z up, facing -y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+        "z up, facing x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+        "y up, facing x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    }
+    file_from_body = torch.tensor(columns[to_file], dtype=torch.float64).T
+    motion = wild(generator)
+    assert_same(retarget(reframed(motion, file_from_body.T.expand(22, 3, 3))), motion)
+
+
 def test_scale_and_floor(generator):
     motion = wild(generator)
     big = replace(

@@ -93,6 +93,8 @@ def test_what_is_not_carried_over_is_said(walk):
     onto = rig("Mixamo")
     found = retarget_onto(without(on_22(walk), [n for n in STANDARD.names if n != "left_foot"]), onto)
     assert found.unmapped == ("left_foot",) and any("no left_foot" in note for note in found.notes)
+    held = next(note for note in found.notes if "follow" in note)
+    assert held.startswith("joints of the rig that follow: 22 of 27")
     back = retarget_onto(found.motion, without(on_22(walk), [n for n in STANDARD.names if n != "right_wrist"]))
     assert any("as the rig has none: right_wrist" in note for note in back.notes)
     assert not any("not carried over" in note for note in found.notes)

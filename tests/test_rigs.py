@@ -1,6 +1,7 @@
 """Rigs of others: which joint is which, how it is turned, what is lost, and that all of it is said."""
 
 import json
+import math
 import re
 from dataclasses import replace
 
@@ -14,8 +15,8 @@ from motionlab.__main__ import main
 from motionlab.errors import DataError
 from motionlab.io import bvh
 from motionlab.motion import Motion
-from motionlab.rest import FIRST, MOVED, SQUARE
-from motionlab.retarget import match_joints, put_on, retarget
+from motionlab.rest import FIRST, MOVED, SQUARE, ZERO
+from motionlab.retarget import certify, match_joints, put_on, retarget, with_rest
 from motionlab.rigs import find_joints
 from motionlab.skeleton import STANDARD, UPRIGHT, Skeleton
 
@@ -69,6 +70,8 @@ def test_every_family(generator, family):
     lift = torch.tensor([0.0, 0.0, found.floor], dtype=torch.float64)
     torch.testing.assert_close(found.motion.positions[:, at], rig.positions[:, own] + lift, atol=1e-6, rtol=0)
     torch.testing.assert_close(found.motion.world[1][:, at], rig.world[1][:, own], atol=1e-6, rtol=0)
+    row = certify(rig)
+    assert row.holds and row.joints == len(truth) and row.place < 1e-5 and row.angle < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -159,7 +162,7 @@ def test_a_joint_without_a_name_is_taken_by_its_place(generator):
     assert any("by their place: left_foot = blob, neck = blib, left_elbow = zork" in note for note in found.notes)
 
 
-def test_a_joint_that_is_lost_is_said_aloud_and_counted(generator):
+def test_a_joint_that_is_lost_is_said_aloud_and_counted(generator, tmp_path, capsys):
     motion, _ = worn(person(generator), "MakeHuman")  # two joints between shoulder and wrist: which is the elbow?
     names = {f"{bone}.L": f"{bone}.x" for bone in ("lowerarm01", "lowerarm02")}
     found = retarget(renamed(motion, **names))
@@ -171,6 +174,16 @@ def test_a_joint_that_is_lost_is_said_aloud_and_counted(generator):
     assert abs(found.per_joint["lowerarm01.x"] - off) < 1e-6 and f"{off:.2f} m off" in lost
     assert found.residual > 0.01 > retarget(motion).residual  # negative control: with its elbow nothing is lost
     assert not any("LOST" in note for note in retarget(motion).notes)
+    row = certify(renamed(motion, **names))
+    assert not row.holds and "lowerarm01.x" in row.lost and row.angle > 20
+    bvh.save(tmp_path / "lost.bvh", renamed(motion, **names))
+    assert main(["data", str(tmp_path), "--certify"]) == 1
+    assert "lowerarm01.x" in capsys.readouterr().out
+    bvh.save(tmp_path / "lost.bvh", motion)
+    (tmp_path / "LICENSE.txt").write_text("no recording")
+    assert main(["data", str(tmp_path), "--certify"]) == 0
+    assert main(["data", str(tmp_path / "lost.bvh"), "--certify"]) == 0
+    assert "22 of 22  zero pose" in capsys.readouterr().out
 
 
 def test_a_heel_is_no_ball_of_the_foot(generator):
@@ -236,3 +249,31 @@ def test_a_t_pose_in_the_first_frame_is_used(generator):
     assert match_joints(turned).source == FIRST
     assert_same(retarget(turned), motion)
     assert match_joints(turned.cut(1)).source == MOVED  # negative control
+
+
+@pytest.mark.parametrize("family", ["Mixamo", "Unreal", "DeepMimic", "MakeHuman"])
+@pytest.mark.parametrize(("pose", "fall"), [("t", 0.0), ("a", math.pi / 4)])
+def test_a_rest_pose_on_the_way_out(generator, family, pose, fall):
+    rig, truth = worn(person(generator), family)
+    rig = reframed(rig, rotation.random((len(rig.skeleton),), generator, dtype=torch.float64))
+    made_so = with_rest(rig, pose)
+    torch.testing.assert_close(made_so.positions, rig.positions, atol=1e-6, rtol=0)
+    place = dict(zip(rig.skeleton.names, made_so.skeleton.rest_positions(), strict=True))
+    for side, sign in (("left", 1), ("right", -1)):
+        arm = torch.nn.functional.normalize(place[truth[f"{side}_elbow"]] - place[truth[f"{side}_shoulder"]], dim=0)
+        flat = STANDARD.offsets[STANDARD.index(f"{side}_elbow")].double()
+        flat = rotation.rotation_about("z", torch.tensor(-sign * fall).double()) @ flat
+        torch.testing.assert_close(arm, torch.nn.functional.normalize(flat, dim=0), atol=1e-3, rtol=0)
+    assert match_joints(made_so).source == ZERO
+
+
+def test_convert_takes_a_rest_pose(generator, tmp_path, capsys):
+    bvh.save(tmp_path / "in.bvh", worn(person(generator), "Unreal")[0])
+    for name in ("out.bvh", "out.glb"):
+        words = ["convert", str(tmp_path / "in.bvh"), str(tmp_path / name), "--rest", "a"]
+        assert main([*words, *["--bones"] * name.endswith("glb")]) == 0
+    assert main([*words[:2], str(tmp_path / "out.npz"), "--rest", "a"]) == 2
+    assert "--rest is for" in capsys.readouterr().err
+    one, other = (io.load(tmp_path / f"out.{kind}") for kind in ("bvh", "glb"))
+    heights = one.positions[..., one.skeleton.indices(other.skeleton.names), 2]
+    torch.testing.assert_close(heights, other.positions[..., 2], atol=1e-4, rtol=0)

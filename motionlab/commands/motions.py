@@ -16,7 +16,7 @@ from motionlab.errors import DataError
 from motionlab.io.reading import read_json
 from motionlab.io.reading import reading as reading_file
 from motionlab.motion import Motion, resample
-from motionlab.retarget import retarget
+from motionlab.retarget import retarget, with_rest
 from motionlab.skeleton import STANDARD
 
 _READING = ("unit", "up", "axes", "fps_in", "translations", "asf", "animation", "person")
@@ -171,6 +171,10 @@ def convert(options: argparse.Namespace) -> int:
             say_note(note)
     elif options.standard or body or suffix == ".npy":
         motion = with_standard_joints(motion)
+    if options.rest:
+        if suffix in (".npz", ".npy") or body:
+            raise DataError("its rest pose is given", path=target, remedy="--rest is for a .bvh or for --bones")
+        motion = with_rest(motion, options.rest)
     if suffix == ".npy":
         motion = resample(motion, humanml.FPS)
     elif options.fps is not None:

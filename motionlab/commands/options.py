@@ -50,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
     option("folder", nargs="?", help="or one file (default: $MOTIONLAB_DATA)")
     option("--fps", type=float, help="frames per second of OpenPose folders, which do not store it")
     _add_reading(command, rate=("--fps-in",))
+    option("--certify", action="store_true", help="say what the 22 standard joints lose of each rig in it")
 
     text = "make training motion of recordings; say what is cut out and why"
     command, option = add("prepare", text, "recordings/ --out prepared/", "commands.recordings:prepare")
@@ -104,6 +105,7 @@ def _add_motions(add: Callable) -> None:
     option("target", metavar="OUT", type=Path, help=f"{' '.join(WRITTEN)} (HumanML3D's joints)")
     option("--fps", type=float, help="frames per second of the output (default: those of the input)")
     _add_reading(command, rate=("--fps-in",))
+    option("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")
     option("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
     option("--features", action="store_true", help="a .npy of HumanML3D's 263 numbers, not of 22 joints")
     option("--bones", action="store_true", help="a .glb of the file's own joints, no body on the 22")

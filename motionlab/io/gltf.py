@@ -261,6 +261,8 @@ def _grid(at: Location, keys: list[np.ndarray], says: object, fps: Fps) -> tuple
     times = np.unique(np.concatenate(keys))
     times = times[np.concatenate(([True], np.diff(times) > 1e-4))]
     steady = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else None
+    if says is None and fps is None and steady is None:
+        at.notes.append("one pose, at 30 frames per second as any")
     if steady is not None and abs(steady / max(round(steady), 1) - 1) < 2e-4:  # times in single precision
         steady = float(round(steady))
     rate = frame_rate(at, next((x for x in (fps, says, steady) if x is not None), 30.0))

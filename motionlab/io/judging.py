@@ -266,6 +266,9 @@ def rerooted(
                 remedy = 'translations="mean", or --translations mean, keeps its mean place'
                 raise at.error(f"{what}: bones of changing length", place=lines[j], remedy=remedy)
             at.notes.append(f"{what}: its mean place is kept")
+        elif strays[j]:
+            off = np.abs(mean[j] - offset[j]).max() / reach
+            at.notes.append(f"{names[j]} is always {off:.1%} of the figure off its OFFSET: believed as it moves")
     rot = rot[:, kept].clone()
     rot[:, 0] = first
     offsets = torch.from_numpy(np.where(strays[:, None], mean, offset)[kept])

@@ -209,7 +209,7 @@ def _c3d_table(
         raise at.error(f"scale {scale} is not usable")
     width, start = 4 * count + int(header[2]), _C3D_BLOCK * (int(header[8]) - 1)
     held = max(length - start, 0) // (width * kind)
-    frames = _c3d_frame_count(header, parameters, held)
+    frames = _c3d_frame_count(at, header, parameters, held)
     if start < _C3D_BLOCK or not 0 < frames <= held:
         raise at.error(f"expected {frames} frames of {width} numbers from byte {start}, the file holds {held}")
     table = numbers(kind, frames * width, start).reshape(frames, width)[:, : 4 * count]
@@ -219,7 +219,7 @@ def _c3d_table(
     return checked_array(at, xyz, f"T {count} 3"), measured
 
 
-def _c3d_frame_count(header: np.ndarray, parameters: dict, held: int) -> int:
+def _c3d_frame_count(at: Location, header: np.ndarray, parameters: dict, held: int) -> int:
     """From the 32-bit frame numbers of long recordings, else the header's 16 bits, which end at 65535 or start again:
     then as many as the file has room for."""
     ends = [parameters.get(f"TRIAL:ACTUAL_{end}_FIELD") for end in ("START", "END")]
@@ -227,4 +227,7 @@ def _c3d_frame_count(header: np.ndarray, parameters: dict, held: int) -> int:
         first, last = (int(end.astype(np.int64) % 65536 @ [1, 65536]) for end in ends)
         return last - first + 1
     count = int(header[4]) - int(header[3]) + 1
-    return max(held if int(header[4]) == 65535 else count + max(held - count, 0) // 65536 * 65536, count)
+    more = held if int(header[4]) == 65535 else count + max(held - count, 0) // 65536 * 65536
+    if more > count:
+        at.notes.append(f"the header counts no further than 65535 frames: {more} are in the file")
+    return max(more, count)

@@ -171,7 +171,7 @@ def load_motion(path: str | Path, *, person: int = 0, up: Axes = None, axes: Axe
     with reading(path, 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"') as at:
         arrays, (system, says_up, usual) = _arrays(at, person)
         turns = _turns(at, arrays)
-        frames = len(turns)
+        frames, joints = turns.shape[:2]
         *_, key = keys_of(arrays)
         if not key:
             raise at.error("this key is missing", place="trans")
@@ -191,6 +191,8 @@ def load_motion(path: str | Path, *, person: int = 0, up: Axes = None, axes: Axe
         if fast > _FASTEST or far > _FARTHEST:
             at.notes.append(f"{key} moves by up to {fast:.3g} m/s, {far:.3g} m from the origin: is it in metres?")
         at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
+        if joints > BODY:
+            at.notes.append(f"{joints} joints: hands and face are left out, {BODY} joints of the body are read")
         rot = rotation.axis_angle_to_matrix(torch.from_numpy(turns[:, :BODY]))
         motion = Motion(STANDARD, torch.from_numpy(trans), rot, rate, contacts, at.path.stem, tuple(at.notes))
         return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)

@@ -18,6 +18,8 @@ from tests.test_rewriting import stretching
 pytestmark = [pytest.mark.interop, needs_python]
 FRAMES = (0, 10, 20, 29)
 COMMANDS = {
+    "t pose": ["convert", "IN", "OUT", "--rest", "t"],
+    "a pose": ["convert", "IN", "OUT", "--rest", "a"],
     "planted": ["plant", "IN", "--out", "OUT"],
     "loop": ["cycle", "IN", "--cut", "0.2", "1.4", "--loop", "--out", "OUT"],
     "in place": ["cycle", "IN", "--in-place", "--out", "OUT"],
