@@ -53,7 +53,6 @@ class BodyModel:
     weights (V, J): skinning weights, rows sum to 1. faces (F, 3): vertex indices.
     skeleton: the T-pose skeleton. keypoint_vertices: vertex per surface keypoint (nose, heels ...).
     pose_directions (V, 3, 9 (J - 1)) or None: SMPL's pose correctives, per entry of R_j - I, j > 0.
-    notes: where it came from and what was decided on the way, one sentence each.
 
     Raises:
         ShapeError: the arrays do not fit each other or the skeleton.
@@ -67,7 +66,6 @@ class BodyModel:
     skeleton: Skeleton
     keypoint_vertices: dict[str, int]
     pose_directions: Tensor | None = None
-    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         v, j = len(self.template), len(self.skeleton)

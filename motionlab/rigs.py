@@ -36,10 +36,6 @@ _BOTH = ("left", "right")
 #: What a skeleton has to have, or nobody can say how it stands.
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in _BOTH for part in ("hip", "knee", "ankle")))
 _LIMBS = (("left_", "leg"), ("left_", "arm"), ("right_", "leg"), ("right_", "arm"), ("", "head"))
-_ORDER = (
-    "pelvis", *WORDS["head"], *(f"{side}_{part}" for limb in ("leg", "arm") for part in WORDS[limb] for side in _BOTH),
-    "spine1", "spine2", "spine3",
-)  # fmt: skip
 _SIDES = {
     **dict.fromkeys("l lf lft left 左".split(), "left"), **dict.fromkeys("r rt rgt right 右".split(), "right"),
     **dict.fromkeys("c m x center centre".split(), ""),
@@ -140,7 +136,7 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[
     for side, limb in _LIMBS:
         chain = [f"{side}{part}" for part in WORDS[limb]]
         found |= _between(chain, None if limb == "leg" else top, parents, above, found)
-    return {name: found[name] for name in _ORDER if name in found}
+    return {name: found[name] for name in STANDARD.names if name in found}
 
 
 def _read(names: Sequence[str]) -> list[tuple[str, str]]:
@@ -193,8 +189,7 @@ def _sided(side: str | None, word: str) -> tuple[str, str]:
     """Splits a side off a word that is written in one, as lfemur, leftupleg, UPPERARML."""
     if side or word in _PARTS:
         return side or "", word
-    marks = ("left", "right", "l", "r", "左", "右")
-    ways = ((_SIDES[mark], rest) for mark in marks for rest in (word.removeprefix(mark), word.removesuffix(mark)))
+    ways = ((_SIDES[mark], rest) for mark in _SIDES for rest in (word.removeprefix(mark), word.removesuffix(mark)))
     return next(((side, rest) for side, rest in ways if rest in _PARTS), ("", word))  # the word itself is no part
 
 
@@ -252,16 +247,13 @@ def _between(
     """What no name says but the place does: as many joints as are missing between two that are known, or, at the
     end of a limb, an only child below an only child."""
     more: dict[str, int] = {}
-    last, missing = start, []
-    for name in chain:
-        if name not in found:
-            missing += [name] if last is not None else []
-            continue
-        if last is not None and last in above[found[name]]:
-            way = above[found[name]][above[found[name]].index(last) + 1 :]
-            more |= dict(zip(missing, way, strict=True)) if len(way) == len(missing) else {}
-        last, missing = found[name], []
-    for name in missing if last != start else []:
+    known = [(-1, start)] if start is not None else []
+    known += [(place, found[name]) for place, name in enumerate(chain) if name in found]
+    for (i, a), (k, b) in pairwise(known):
+        way = above[b][above[b].index(a) + 1 :] if a in above[b] else ()
+        more |= dict(zip(chain[i + 1 : k], way, strict=True)) if len(way) == k - i - 1 else {}
+    end, last = known[-1] if known else (-1, -1)
+    for name in chain[end + 1 :] if end >= 0 else []:
         children = [j for j, parent in enumerate(parents) if parent == last]
         if len(children) != 1:
             break

@@ -152,4 +152,4 @@ def test_recordings_longer_than_the_header_counts(tmp_path, frames, last, entry)
             more += seeds.c3d_entry(name, 2, struct.pack("<bBB2H", 2, 1, 2, value % 65536, value // 65536) + b"\0")
     (tmp_path / "a.c3d").write_bytes(by_hand(points, names, parameters=more, last=last))
     loaded = load_c3d(tmp_path / "a.c3d")
-    assert loaded.frames == frames and any("65535" in note for note in loaded.notes) == (entry is None)
+    assert loaded.frames == frames

@@ -40,12 +40,16 @@ def test_captury_joints_fall_on_captury_projections():
             assert (pixels - there).norm(dim=-1).max() < 0.01
 
 
+def of(figure: points.Positions, names) -> torch.Tensor:
+    return figure.positions[:, [figure.names.index(name) for name in names]]
+
+
 @needs_data
 def test_captury_tables_and_c3d_share_a_world():
     for take in sorted((DATA / "captury_falls").glob("video*")):
         knees, markers = captury.joints(take / "biomech.csv", ("LKnee", "RKnee")), points.load_c3d(take / "mocap.c3d")
         for side, knee in zip("LR", knees.unbind(1), strict=True):
-            middle = markers.select([f"Q_{side}KneeIn", f"Q_{side}KneeOut"]).positions.mean(1)
+            middle = of(markers, [f"Q_{side}KneeIn", f"Q_{side}KneeOut"]).mean(1)
             assert (middle - knee).norm(dim=-1).median() < 0.015
 
 
@@ -67,7 +71,7 @@ def triangulate(cameras: list[Camera], pixels: torch.Tensor, weight: torch.Tenso
 def test_pose2sim_views_meet_at_its_own_result():
     """SOURCE.txt: triangulating the four views gives 1.8 cm median distance to the TRC, 90 % below 7.8 cm."""
     root = DATA / "pose2sim_openpose"
-    truth = points.load_trc(root / "ref3d/Balancing_for_IK.trc").select(list(PAIRS)).positions
+    truth = of(points.load_trc(root / "ref3d/Balancing_for_IK.trc"), PAIRS)
     there = list(load_cameras(root / "Calib.qca.txt").values())
     views = [
         keypoints.load_person(root / f"single_balancing/cam0{n}_json", fps=60, layout="BODY_25B") for n in (1, 2, 3, 4)
@@ -77,5 +81,5 @@ def test_pose2sim_views_meet_at_its_own_result():
     weight = torch.stack([view.confidence[:, pick].flatten() for view in views])
     error = (triangulate(there, pixels, weight) - truth.flatten(0, 1)).norm(dim=-1)
     assert error.median() < 0.022 and error.quantile(0.9) < 0.09
-    turned = points.load_trc(root / "ref3d/Balancing_for_IK.trc", axes="x-zy").select(list(PAIRS)).positions
+    turned = of(points.load_trc(root / "ref3d/Balancing_for_IK.trc", axes="x-zy"), PAIRS)
     assert (triangulate(there, pixels, weight) - turned.flatten(0, 1)).norm(dim=-1).median() > 0.5

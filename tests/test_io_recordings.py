@@ -137,5 +137,4 @@ def test_one_file_is_a_folder_of_one(tmp_path, capsys):
     assert __main__.main(["data", str(tmp_path / "a.bvh")]) == 0
     said = capsys.readouterr().out
     assert "1 clips" in said and "up axis y detected" in said and "b.bvh" not in said
-    assert __main__.main(["data", str(tmp_path / "a.bvh"), "--certify"]) == 0
     assert __main__.main(["data", str(tmp_path / "c.md")]) == 2 and "c.md" in capsys.readouterr().err

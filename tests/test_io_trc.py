@@ -31,15 +31,6 @@ def test_missing_markers_are_masked(tmp_path):
     assert (loaded.positions[~loaded.valid] == 0).all()
 
 
-def test_select(tmp_path):
-    path = tmp_path / "a.trc"
-    path.write_text(table(["1\t0.0\t100\t200\t300\t1\t2\t3"]))
-    loaded = points.load_trc(path)
-    assert loaded.select(["B", "A"]).names == ("B", "A")
-    with pytest.raises(KeyError, match="points are A, B"):
-        loaded.select(["C"])
-
-
 @pytest.mark.parametrize("axes", ["xyz", "zxy", "x-zy", "-xzy", "yzx"])
 def test_axes_are_rotations_that_pick_file_axes(axes):
     matrix = axes_to_matrix(axes).numpy()
@@ -114,7 +105,7 @@ def test_zeros_and_rows_that_end_early_were_not_measured(tmp_path):
     ("change", "words"),
     [
         (lambda t: t.replace("60.0\t60.0\t8", "30\t60.0\t8"), "times are of 60 frames per second, not of 30"),
-        (lambda t: "\n".join(line for line in t.split("\n") if not line.startswith("3\t")), "times jump 1 times"),
+        (lambda t: "\n".join(line for line in t.split("\n") if not line.startswith("3\t")), "frames are missing"),
         (lambda t: t, ""),
         (lambda t: re.sub(r"(?m)^(\d)\t[\d.]+\t", r"\1\t\t", t), ""),  # no times say nothing
     ],

@@ -20,6 +20,7 @@ from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.io import bvh, gltf, smpl
+from motionlab.io.judging import UNITS
 from motionlab.io.reading import Location, read_bytes, read_npz, read_text, reading
 from motionlab.motion import Motion, single
 from motionlab.rest import reframed
@@ -66,7 +67,7 @@ def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
     index = [names.index(name) for name in loaded.skeleton.names]
     lengths = loaded.skeleton.offsets[1:].norm(dim=-1).double().sum()
     scale = float(lengths / np.linalg.norm(place.mean(0)[index[1:]], axis=-1).sum())
-    scale = next((unit for unit in bvh.UNITS.values() if abs(scale / unit - 1) < 1e-4), scale)
+    scale = next((unit for unit in UNITS.values() if abs(scale / unit - 1) < 1e-4), scale)
     top = index[0]
     rigid, means = _averaged(loaded), values.mean(0)
     fps, loaded = loaded.fps, loaded.cut(0, made.frames)

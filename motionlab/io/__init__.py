@@ -52,7 +52,6 @@ def load_npy(
     Raises:
         DataError: it holds anything else.
     """
-    judging.check_given(unit, up, axes)
     with reading(path, "save joints (T, 22, 3) or HumanML3D's features (T, 263) with numpy.save") as at:
         array = read_npy(at, read_bytes(at), first_object)
         if not isinstance(array, np.ndarray):
@@ -128,7 +127,6 @@ def load(path: str | Path, **options) -> Motion:
         raise DataError(f"no loader for {suffix or 'a name without suffix'!r}", path=path, remedy=why_not(suffix))
     motion = guided(LOADERS[suffix], path, options, strict=True)
     if not isinstance(motion, Motion):
-        remedy = "solve a skeleton where it was recorded, and export BVH; motionlab data FILE says what it holds, "
-        remedy += f"{LOADERS[suffix].__module__}.{LOADERS[suffix].__name__} reads it"
+        remedy = f"solve a skeleton where it was recorded, and export BVH; points.{LOADERS[suffix].__name__} reads it"
         raise DataError("holds positions without rotations", path=path, remedy=remedy)
     return motion

@@ -54,7 +54,7 @@ def load(asf: str | Path, amc: str | Path, *, fps: Fps = None, unit: float | Non
         if unit is None:
             unit = UNITS["inch"] / length
             notes.append(f"the file names no unit: taken as 1/{length:g} inch = {unit:.5f} m, as CMU does")
-        skeleton = _skeleton(bones, unit)
+        skeleton = _skeleton(at, bones, unit)
     with reading(amc, "take the .amc of the take again, with the .asf of the same subject") as at:
         degrees, frames = _parse_amc(at, read_text(at), bones, asf_degrees)
         if fps is None:
@@ -87,7 +87,7 @@ def load_beside(amc: str | Path, *, asf: str | Path | None = None, fps: Fps = No
             remedy = "put the subject's .asf beside it, or name it with asf=, or --asf"
             raise DataError(what, path=amc.with_name(path), remedy=remedy, place=amc.name)
         asf = max(fits, key=lambda path: len(path.stem))
-    return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS[unit] if unit in UNITS else unit)
+    return load(asf or amc.with_suffix(".asf"), amc, fps=fps, unit=UNITS.get(unit, unit))
 
 
 def _turn(bone: _Bone, values: np.ndarray, degrees: bool, axis_degrees: bool) -> Tensor:
@@ -100,7 +100,7 @@ def _turn(bone: _Bone, values: np.ndarray, degrees: bool, axis_degrees: bool) ->
     return frame @ turn @ frame.mT
 
 
-def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
+def _skeleton(at: Location, bones: dict[str, _Bone], unit: float) -> Skeleton:
     names, parents, offsets = ["root"], [-1], [[0.0, 0.0, 0.0]]
     stack = [(child, "root") for child in reversed(bones["root"].children)]
     while stack:
@@ -112,6 +112,8 @@ def _skeleton(bones: dict[str, _Bone], unit: float) -> Skeleton:
         if name in bones:
             children = bones[name].children or [f"{name}_end"] * (bones[name].length > 0)
             stack += [(child, name) for child in reversed(children)]
+    if lost := [name for name in bones if name not in names]:
+        raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
     return Skeleton(tuple(names), tuple(parents), torch.tensor(offsets))
 
 
@@ -145,10 +147,16 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
         raise at.error(f"bone {name} has no end: the file is truncated")
     placed = {"root"}
     for at.place, parent, below in sections["hierarchy"]:
-        if parent not in ("begin", "end"):
-            _hang(at, bones, placed, parent, below)
-    if lost := [name for name in bones if name not in placed]:
-        raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")
+        if parent in ("begin", "end"):
+            continue
+        for name in (parent, *below):
+            if name not in bones:
+                raise at.error(f"bone {name!r} is not in :bonedata")
+        for name in below:
+            if name in placed:
+                raise at.error(f"{name} has two parents")
+            placed.add(name)
+            bones[parent].children.append(name)
     at.place = "section :units"
     units = {key.lower(): words for _, key, words in sections["units"]}
     (length,) = floats(at, units.get("length", []), 1).tolist()
@@ -160,10 +168,8 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
 
 def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
     """Takes what a line says of a bone or of the root, which moves and has the numbers of its axis elsewhere."""
-    if key in ("direction", "position"):
-        setattr(bone, key, floats(at, words, 3).tolist())
-    elif key == "orientation":
-        bone.axis = floats(at, words, 3).tolist()
+    if key in ("direction", "position", "orientation"):
+        setattr(bone, "axis" if key == "orientation" else key, floats(at, words, 3).tolist())
     elif key == "length":
         (bone.length,) = floats(at, words, 1).tolist()
     elif key == "axis":
@@ -176,52 +182,26 @@ def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
         free = [f"{kind}{axis}" for kind in ("tr" if key == "order" else "r") for axis in "xyz"]
         bone.dof = [word.lower() for word in words]
         if len({*free} & {*bone.dof}) != len(bone.dof) or (key == "order" and len(bone.dof) < len(free)):
-            which = "each" if key == "order" else "some"
-            raise at.error(f"degrees of freedom must be {which} of {' '.join(free)}, once, got {' '.join(words)}")
-
-
-def _hang(at: Location, bones: dict[str, _Bone], placed: set[str], parent: str, below: list[str]) -> None:
-    """Takes a line of the hierarchy: the bones below one that is placed already."""
-    for name in (parent, *below):
-        if name not in bones:
-            raise at.error(f"bone {name!r} is not in :bonedata")
-    if parent not in placed:
-        raise at.error(f"{parent} has children before it has a parent")
-    for name in below:
-        if name in placed:
-            raise at.error(f"{name} has two parents")
-        placed.add(name)
-        bones[parent].children.append(name)
+            raise at.error(f"degrees of freedom must be of {' '.join(free)}, each once, got {' '.join(words)}")
 
 
 def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) -> tuple[bool, dict[str, np.ndarray]]:
     """Whether angles are degrees, and the values (T, D) of every bone that has degrees of freedom."""
-    widths = {name: len(bone.dof) for name, bone in bones.items() if bone.dof}
-    frames, places = [], []
-    for name, *values in map(str.split, text_lines(at, text)):
+    values: dict[str, list] = {name: [] for name, bone in bones.items() if bone.dof}
+    frames = 0
+    for name, *words in map(str.split, text_lines(at, text)):
         if name[0] == ":":
             degrees = {":DEGREES": True, ":RADIANS": False}.get(name.upper(), degrees)
-        elif not values and name.isdigit():
-            if int(name) != len(frames) + 1:
-                raise at.error(f"frame {name} follows frame {len(frames)}")
-            frames.append({})
-            places.append(at.place)
-        elif name[0] == "#":
-            continue
-        elif not frames:
-            raise at.error(f"expected frame number 1, got {name[:40]!r}")
-        elif name in frames[-1]:
-            raise at.error(f"{name} twice in one frame")
-        elif len(values) != widths.get(name):
-            raise at.error(f"{name[:40]}: expected {widths.get(name, 'no such bone,')} values, got {len(values)}")
-        else:
-            frames[-1][name] = values
-    if not frames:
-        raise at.error("no frames: truncated, or no AMC")
-    rows = []
-    for frame, at.place in zip(frames, places, strict=True):
-        if missing := [name for name in widths if name not in frame]:
-            raise at.error(f"frame without {', '.join(missing)}: truncated")
-        rows.append(floats(at, [value for name in widths for value in frame[name]], sum(widths.values())))
-    at.place, ends = "", np.cumsum(list(widths.values()))
-    return degrees, dict(zip(widths, np.split(np.stack(rows), ends[:-1], axis=1), strict=True))
+        elif not words and name.isdigit():
+            if int(name) != frames + 1:
+                raise at.error(f"frame {name} follows frame {frames}")
+            frames += 1
+        elif name[0] != "#":
+            if not frames or name not in values:
+                raise at.error(f"expected {'a bone that turns' if frames else 'frame number 1'}, got {name[:40]!r}")
+            if len(values[name]) != frames - 1:
+                raise at.error(f"{name} twice in one frame, or not in the one before")
+            values[name].append(floats(at, words, len(bones[name].dof)))
+    if missing := [name for name, rows in values.items() if len(rows) < max(frames, 1)]:
+        raise at.error(f"frame {max(frames, 1)} without {', '.join(missing)}: truncated, or no AMC")
+    return degrees, {name: np.stack(rows) for name, rows in values.items()}

@@ -16,9 +16,10 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.files import write_whole
 from motionlab.io import judging
-from motionlab.io.judging import AXES, UNITS, Axes, Fps, Unit, rerooted
+from motionlab.io.judging import AXES, Axes, Fps, Unit, rerooted
 from motionlab.io.reading import RATES, Location, floats, frame_rate, read_text, reading, text_lines
 from motionlab.motion import Motion, single
+from motionlab.rigs import ancestors
 from motionlab.skeleton import Skeleton
 
 #: The End Site of a joint that has no child: so much of its bone's length, along the bone's longest axis. BVH has no
@@ -47,10 +48,8 @@ def load(
         translations: "strict" or "mean", of joints below the root that move: see ``rerooted``.
 
     Raises:
-        DataError: the file is not a readable BVH; names the file, the line and the remedy.
-        ValueError: unit, up, axes or translations is none of the above.
+        DataError: the file is not a readable BVH, or what is given none of the above; names file, line and remedy.
     """
-    judging.check_given(unit, up, axes, translations)
     with reading(path, "export the BVH again, or repair the line") as at:
         joints, values, rate = _parse(at, read_text(at), fps)
         place, rot, relative = _local(joints, values)
@@ -83,12 +82,11 @@ def save(path: str | Path, motion: Motion, *, order: str = "ZXY", unit: str | fl
         ValueError: order, unit or up is none of the known ones.
     """
     single(motion, path)
-    judging.check_given(unit, up, None)
     if sorted(order) != ["X", "Y", "Z"]:
         raise ValueError(f"expected an order of X, Y, Z, got {order!r}")
-    scale = 1 / (UNITS[unit] if isinstance(unit, str) else float(unit))
+    scale = 1 / judging.metres(unit)
     motion = motion.to(torch.float64)
-    skeleton, names, world = motion.skeleton, motion.skeleton.names, judging.axes_to_matrix(AXES[up])
+    skeleton, names, world = motion.skeleton, motion.skeleton.names, judging.axes_to_matrix(AXES.get(up, up))
     rest = (motion.rot - torch.eye(3).double()).abs().amax((0, 2, 3)) < 1e-6
     leaves = {*range(1, len(names))} - {*skeleton.parents}
     ends = {j for j in leaves if rest[j] and names[j] == f"{names[skeleton.parents[j]]}_end"}
@@ -142,16 +140,12 @@ def _local(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, Tensor
     offset = np.array([joint.offset for joint in joints])
     place = np.broadcast_to(offset, (len(values), *offset.shape)).copy()
     rot = torch.eye(3, dtype=torch.float64).expand(len(values), len(joints), 3, 3).clone()
-    by_order: dict[str, dict[int, list[int]]] = {}
     for i, joint in enumerate(joints):
         for axis, column in joint.moves.items():
             place[:, i, axis] = values[:, column]
         order, columns = joint.turns
-        by_order.setdefault(order, {})[i] = columns
-    by_order.pop("", None)
-    for order, columns in by_order.items():
-        angles = torch.from_numpy(np.deg2rad(values[:, np.array([*columns.values()])]))
-        rot[:, [*columns]] = rotation.euler_to_matrix(angles, order)
+        if order:
+            rot[:, i] = rotation.euler_to_matrix(torch.from_numpy(np.deg2rad(values[:, columns])), order)
     relative = _relative(joints, place.mean(0))
     place[:, relative] += offset[relative]
     return place, rot, relative
@@ -179,58 +173,51 @@ def _parse(at: Location, text: str, fps: Fps = None) -> tuple[list[_Joint], np.n
 def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
     """The joints; of the lines, MOTION is the last that is read."""
     joints: list[_Joint] = []
-    here, waits = -1, "HIERARCHY"  # the joint whose braces are open; the word that alone may come
+    here = -1  # the joint whose braces are open
+    if (line := next(lines, "")).upper() != "HIERARCHY":
+        raise at.error(f"expected HIERARCHY, got {line[:40]!r}")
     for line in lines:
-        head, *words = line.split()
+        head, *words = [word for word in line.split() if word != "{"] or ["{"]
         head, joint = head.upper(), joints[here] if here >= 0 else None
-        if waits and head != waits:
-            raise at.error(f"expected {waits}, got {line[:40]!r}")
-        if waits in ("HIERARCHY", "{"):
-            waits = "ROOT" if waits == "HIERARCHY" else ""
-        elif head == "ROOT" and joints:
-            raise at.error("a second ROOT: one figure a file", remedy="split the file, one ROOT each")
-        elif head in ("ROOT", "JOINT", "END") and (joint or not joints):
+        if joint is None:
+            expected = ["MOTION"] if joints else ["ROOT"]
+        else:
+            expected = ["OFFSET", "}"] if joint.is_end else ["JOINT", "END", "OFFSET", "CHANNELS", "}"]
+        if head not in ("{", *expected):
+            said = f"expected {', '.join(expected)}{f' of {joint.name}' if joint else ''}, got {line[:40]!r}"
+            raise at.error(said, remedy="one figure a file: split it, one ROOT each" if head == "ROOT" else None)
+        if head in ("ROOT", "JOINT", "END"):
             name = f"{joint.name}_end" if head == "END" else " ".join(words)
-            if joint and joint.is_end:
-                raise at.error("an End Site has no children")
             if not name or any(name == other.name for other in joints):
                 what = f"a second joint named {name!r}" if name else f"{head} without a name"
                 raise at.error(what, remedy="give every joint its own name")
             joints.append(_Joint(name, here, at.place, is_end=head == "END"))
-            here, waits = len(joints) - 1, "{"
+            here = len(joints) - 1
         elif head == "MOTION":
-            if joint:
-                raise at.error(f"the braces of {joint.name} are still open")
             return joints
-        elif head == "}" and joint:
+        elif head == "}":
             if joint.offset is None:
                 raise at.error(f"{joint.name} ends without an OFFSET")
             here = joint.parent
-        elif head == "OFFSET" and joint:
+        elif head == "OFFSET":
             joint.offset = floats(at, words, 3).tolist()
-        elif head == "CHANNELS" and joint:
+        elif head == "CHANNELS":
             names, first = [word.lower() for word in words[1:]], sum(len(other.channels) for other in joints)
-            if words[:1] != [str(len(names))]:
-                raise at.error(f"CHANNELS promises {' '.join(words[:1])} and lists {len(names)}")
+            if joint.channels or words[:1] != [str(len(names))]:
+                raise at.error(f"expected CHANNELS once, and as many as it promises, got {len(names)}")
             if not {*names} <= {*_CHANNELS} or len({*names}) != len(names):
                 raise at.error(f"channels must be different ones of {', '.join(_CHANNELS)}, got {' '.join(words[1:])}")
-            if joint.is_end or joint.channels:
-                raise at.error("an End Site has no channels" if joint.is_end else f"{joint.name} has CHANNELS twice")
             joint.channels = {name: column for column, name in enumerate(names, first)}
-        else:
-            raise at.error(f"expected JOINT, End Site, OFFSET, CHANNELS or a brace, got {line[:40]!r}")
     raise at.error("the file ends before MOTION: it is truncated, or no BVH")
 
 
 def _motion(at: Location, lines: Iterator[str], width: int, fps: Fps) -> tuple[np.ndarray, float]:
     header, places = [], []
     for key in ("Frames", "Frame Time"):
-        line = next(lines, None)
-        if line is None:
-            raise at.error(f"the file ends before '{key}:': it is truncated")
+        line = next(lines, "")
         name, _, value = line.partition(":")
         if name.lower().split() != key.lower().split():
-            raise at.error(f"expected '{key}:', got {line[:40]!r}")
+            raise at.error(f"expected '{key}:', got {line[:40]!r}, or it is truncated")
         header.append(float(value))
         places.append(at.place)
     frames, frame_time = header
@@ -257,9 +244,8 @@ def _rate(at: Location, frame_time: float, line: str) -> float:
     digits = len(line.partition(".")[2])
     if frame_time > 2:
         near = (rate for rate in RATES if abs(1000 / rate - frame_time) < 10.0**-digits)  # 16.67 ms is 60 a second
-        fps, what = next(near, 1000 / frame_time), "milliseconds"
-        fps, what = (frame_time, "a rate") if frame_time in RATES else (fps, what)
-        taken = f"a frame time of {frame_time:g} s is taken as {what}, {fps:g} frames per second"
+        fps = frame_time if frame_time in RATES else next(near, 1000 / frame_time)
+        taken = f"a frame time of {frame_time:g} s is taken as {fps:g} frames per second"
         at.notes.append(f"{taken}: give the right one with fps=, or --fps-in")
         return fps
     whole = max(round(1 / frame_time), 1)
@@ -271,22 +257,16 @@ def _hierarchy_text(skeleton: Skeleton, scale: float, order: str, ends: set[int]
     offsets = [[round(x, 6) for x in offset] for offset in (skeleton.offsets * scale).tolist()]
     offsets[0] = [0.0, 0.0, 0.0]
     turns = " ".join(f"{axis}rotation" for axis in order)
-    text: list[str] = []
-    turning: list[int] = []
-    stack: list[tuple[int | None, str]] = [(0, "")]
-    while stack:
-        joint, pad = stack.pop()
-        if joint is None:
-            text.append(f"{pad}}}")
-            continue
+    above, text = ancestors(skeleton.parents), []
+    depth_first = sorted(range(len(above)), key=lambda joint: (*above[joint], joint))
+    for joint, after in zip(depth_first, [*depth_first[1:], 0], strict=True):
+        pad = "\t" * len(above[joint])
         kind = "End Site" if joint in ends else f"{'JOINT' if joint else 'ROOT'} {skeleton.names[joint]}"
         text += [f"{pad}{kind}", f"{pad}{{", f"{pad}\tOFFSET " + " ".join(f"{x:.6f}" for x in offsets[joint])]
-        stack.append((None, pad))
         if joint not in ends:
-            turning.append(joint)
             text.append(f"{pad}\tCHANNELS {'3' if joint else '6 Xposition Yposition Zposition'} {turns}")
-            stack += [(j, f"{pad}\t") for j in range(len(offsets) - 1, 0, -1) if skeleton.parents[j] == joint]
             if joint not in skeleton.parents:
                 tip = "\tOFFSET " + " ".join(f"{x:.6f}" for x in _tip(offsets[joint]))
                 text += [f"{pad}\t{line}" for line in ("End Site", "{", tip, "}")]
-    return text, turning
+        text += ["\t" * depth + "}" for depth in range(len(above[joint]), len(above[after]) - 1, -1)]
+    return text, [joint for joint in depth_first if joint not in ends]

@@ -64,7 +64,6 @@ def load(
     Raises:
         DataError: not such a file, or nobody with this number.
     """
-    judging.check_given(unit, up, axes, translations)
     with reading(path, "write it with motionlab.io.gltf.save, or export GLB with sampled animation") as at:
         content, blob = _chunks(at)
         found = _figure(at, content, blob, person, animation, fps)
@@ -88,10 +87,9 @@ def _chunks(at: Location) -> tuple[dict, bytes]:
         raise at.error(f"packed, by {packed[0]}", place="extensionsRequired", remedy=remedy)
     for buffer in content.get("buffers", ()):
         starts.append(len(blob))
-        part = _named(at, buffer["uri"]) if "uri" in buffer else chunk
-        if len(part) < buffer["byteLength"]:
-            raise at.error(f"{len(part)} bytes of numbers, {buffer['byteLength']} promised", place="buffers")
-        blob += part
+        blob += _named(at, buffer["uri"]) if "uri" in buffer else chunk
+        if len(blob) < starts[-1] + buffer["byteLength"]:
+            raise at.error(f"fewer bytes of numbers than the {buffer['byteLength']} promised", place="buffers")
     for view in content.get("bufferViews", ()):
         view |= {"byteOffset": view.get("byteOffset", 0) + starts[view.get("buffer", 0)], "buffer": 0}
     return content, blob
@@ -103,12 +101,10 @@ def _of_glb(at: Location, data: bytes) -> tuple[bytes, bytes]:
         what = f"version {version}, {length} bytes promised, {len(data)} present"
         raise at.error("not a GLB file" if data[:4] != MAGIC else what, place="header")
     found, start = {}, 12
-    while start + 8 <= len(data):
+    while start < length:
         size, kind = struct.unpack_from("<I4s", data, start)
         found.setdefault(kind, data[start + 8 : start + 8 + size])
         start += 8 + size
-    if start > len(data) or JSON_CHUNK not in found:
-        raise at.error(f"its chunks {[*found]} end at byte {start} of {len(data)}", place="header")
     return found[JSON_CHUNK], found.get(BIN_CHUNK, b"")
 
 
@@ -136,8 +132,6 @@ def _array(at: Location, content: dict, blob: bytes, index: int, width: int, pla
     size = np.dtype(kind).itemsize
     count, stride = accessor["count"], view.get("byteStride", size * width)
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    if min(start, count - 1, stride - size * width) < 0 or start + (count - 1) * stride + size * width > len(blob):
-        raise at.error(f"{count} values from byte {start} do not lie in {len(blob)} bytes", place=place)
     rows = checked_array(at, np.ndarray((count, width), kind, blob, start, (stride, size)), f"T {width}", place)
     return np.maximum(rows / largest, -1) if normal else rows
 
@@ -176,12 +170,11 @@ def _figure(at: Location, content: dict, blob: bytes, person: int, animation: st
     channels = [(c["target"]["node"], c["target"]["path"], chosen["samplers"][c["sampler"]])
                 for c in chosen["channels"] if c["target"]["path"] in _REST and "node" in c["target"]]  # fmt: skip
     joints, chains = _tree(at, parent, skin.get("joints") or sorted({node for node, _, _ in channels}), nodes)
-    names = [str(nodes[joint].get("name") or "joint") for joint in joints]
-    seen = Counter(names)  # a node's number goes with its name where it has none or shares it
-    names = [x if seen[x] == 1 and nodes[k].get("name") else f"{x}{k}" for k, x in zip(joints, names, strict=True)]
+    names = [str(nodes[joint].get("name") or f"joint{joint}") for joint in joints]
+    names = [name if names.count(name) == 1 else f"{name}{k}" for k, name in zip(joints, names, strict=True)]
     used = {node for joint in joints for node in chains[joint]}
-    used_channels = [channel for channel in channels if channel[0] in used]
-    tracks = {(k, what): (s, *_keys(at, content, blob, s, what, f"node {k} {what}")) for k, what, s in used_channels}
+    moved = [channel for channel in channels if channel[0] in used]
+    tracks = {(k, what): (s, *_keys(at, content, blob, s, what, f"node {k} {what}")) for k, what, s in moved}
     if not tracks and chosen["channels"]:
         raise at.error("animates no joint", place="animations")
     extras = skin.get("extras", {}) | chosen.get("extras", {})
@@ -206,9 +199,8 @@ def _figure(at: Location, content: dict, blob: bytes, person: int, animation: st
 
     places, turns, sizes, parents = zip(*(below(chains[joint]) for joint in joints), strict=True)
     place, rot, sizes = torch.stack(places, dim=1), torch.stack(turns, dim=1), torch.stack(sizes)
-    offsets = place[0] * torch.tensor([0.0] + [1.0] * (len(joints) - 1))[:, None]
     contact_names, sole = tuple(extras.get("contact_names", ())), float(extras.get("sole", 0.0))
-    skeleton = Skeleton(tuple(names), parents, offsets, contact_names, sole)
+    skeleton = Skeleton(tuple(names), parents, place[0], contact_names, sole)
     if len(skins) > 1:
         at.notes.append(f"person {person} of {len(skins)} in the file")
     ours, frames = content.get("asset", {}).get("generator") == GENERATOR, torch.eye(3, dtype=torch.float64)
@@ -224,10 +216,9 @@ def _animation(at: Location, content: dict, wanted: str | int | None) -> dict:
         at.notes.append("holds no animation: read as the one pose in which its nodes rest")
         return {"samplers": [], "channels": []}
     names = [str(one.get("name", k)) for k, one in enumerate(every)]
-    word = "0" if wanted is None else str(wanted)
-    number = names.index(word) if word in names else int(word) if word.isdecimal() else -1
-    if not 0 <= number < len(every):
-        raise at.error(f"no animation {word!r}: it holds {', '.join(names) or 'none'}", place="animations")
+    known = {str(k): k for k in range(len(every))} | {name: names.index(name) for name in names}
+    if (number := known.get(str(wanted or 0))) is None:
+        raise at.error(f"no animation {wanted!r}: it holds {', '.join(names) or 'none'}", place="animations")
     if len(every) > 1 and wanted is None:
         others = f"animation {names[0]!r}, the first of {len(every)}: {', '.join(names)}"
         at.notes.append(f"{others}; choose with animation=, or --animation")
@@ -277,9 +268,7 @@ def _grid(at: Location, keys: list[np.ndarray], says: object, fps: Fps) -> tuple
     rate = frame_rate(at, next((x for x in (fps, says, steady) if x is not None), 30.0))
     if abs(times - times[0] - np.arange(len(times)) / rate).max() <= 0.05 / rate:
         return times, rate
-    if says is not None and fps is None:
-        raise at.error(f"its keys are not one per frame at {rate:g} frames per second", place="times")
-    if fps is None:
+    if fps is None and says is None:
         ticks = {rate: (times - times[0]) * rate for rate in RATES}
         rate = next((rate for rate, at in ticks.items() if abs(at - at.round()).max() < 0.05), 30)
         at.notes.append(f"its keys are not one per frame: read {rate} times a second; say it with fps=, or --fps-in")
@@ -363,11 +352,11 @@ def save(
         motions: one clip, or one per person at one frame rate; no batch axes. All begin at time 0.
         body: its mesh and weights, tailored to the bones of each; None writes the armatures alone, bound in the rest
             pose.
-        names: of the people; by default those of the motions, numbered where they are not different.
+        names: of the people; by default those of the motions.
 
     Raises:
-        ShapeError: nobody, a motion has batch axes, frame rates differ, names are not one per person, or the body has
-            other joints.
+        ShapeError: nobody, a motion has batch axes, frame rates differ, or the body has other joints. ValueError: names
+            are not one per person.
         DataError: a motion holds NaN or infinity (names the frame), or the file cannot be written.
     """
     people = [motions] if isinstance(motions, Motion) else list(motions)
@@ -377,11 +366,7 @@ def save(
             raise ShapeError(f"the body's joints are {body.skeleton.names}, the motion's {motion.skeleton.names}")
     if len({motion.fps for motion in people}) != 1:
         raise ShapeError(f"expected one frame rate, got {[motion.fps for motion in people]}: use motion.resample")
-    given = [motion.name or "motion" for motion in people]
-    numbered = [f"{name} {k}" if given.count(name) > 1 else name for k, name in enumerate(given, start=1)]
-    names = list(names or ()) or numbered
-    if len(people) != len(names):
-        raise ShapeError(f"{len(people)} people and {len(names)} names: expected one for each")
+    names = list(names) or [motion.name or "motion" for motion in people]
     file = _Buffer()
     for motion, name in zip(people, names, strict=True):
         skeleton, first = motion.skeleton, _animate(file, motion, name)

@@ -38,7 +38,7 @@ Unit, Axes, Fps = str | float | None, str | None, float | None
 Figure = TypeVar("Figure")  # a Motion, or points.Positions
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
 SAME, RIGID = 0.002, 0.02
-_TRUNK = 0.8  # the figure goes on in the child that holds so much of all that is below
+_TRUNK = 0.75  # the figure hangs on a joint that so much of all hangs on
 
 
 def axes_to_matrix(axes: str) -> Tensor:
@@ -56,27 +56,19 @@ def axes_to_matrix(axes: str) -> Tensor:
     return matrix
 
 
+def metres(unit: str | float) -> float:
+    """Returns the metres of one of ``UNITS``, or of a number of metres; ValueError for anything else."""
+    length = UNITS.get(unit, unit)
+    if not isinstance(length, int | float) or not 0 < length < float("inf"):
+        raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
+    return float(length)
+
+
 def unit_named(word: object) -> float | None:
     """Returns the metres of a unit as files and people write it ("mm", "Meters", "in"); None for another word."""
     word = str(word).strip().strip(".").lower().removesuffix("s")
     word = re.sub("^([cmd]?)(?:enti|illi|eci)?met(?:er|re)$", r"\1m", word)
     return UNITS.get(_WORDS.get(word, word))
-
-
-def check_given(unit: Unit, up: Axes, axes: Axes, translations: str = "strict") -> None:
-    """Checks what a caller says of a file.
-
-    Raises:
-        ValueError: not a unit, axis or way with translations, or both ``up`` and ``axes``. ShapeError: not axes.
-    """
-    if not (unit is None or unit in UNITS or (isinstance(unit, int | float) and 0 < unit < float("inf"))):
-        raise ValueError(f"unit: expected metres per unit or one of {', '.join(UNITS)}, got {unit!r}")
-    if up not in (None, *AXES) or None not in (up, axes):
-        raise ValueError(f"expected up of {', '.join(AXES)} or axes, not both; got up {up!r} and axes {axes!r}")
-    if translations not in ("strict", "mean"):
-        raise ValueError(f"expected translations 'strict' or 'mean', got {translations!r}")
-    if axes is not None:
-        axes_to_matrix(axes)
 
 
 def to_world(
@@ -86,15 +78,14 @@ def to_world(
     """Turns a motion or positions of a file's own unit and axes into metres, z up, float32; notes what was guessed.
 
     Args:
-        unit, up, axes: what the caller gives, which is taken as it is; checked before, by :func:`check_given`: metres
-            per unit, or one of ``UNITS``; the file's axis that points up, of ``AXES``; instead of it the file's axes
-            that become the world's x, y and z, such as "x-zy".
+        unit, up, axes: what the caller gives, which is taken as it is: metres per unit, or one of ``UNITS``; the file's
+            axis that points up, of ``AXES``; or before it the file's axes that become the world's x, y and z, "x-zy".
         says_unit, says_up: what the file or its format says: metres, and a letter of ``AXES``. Of a motion without,
             the zero pose is asked. trust: how much the letter weighs against a head above the feet in all frames (1).
         table: the axes by the one that points up, as ``AXES``.
 
     Raises:
-        DataError: neither the file nor its figure tells the unit, or what is up.
+        DataError: neither the file nor its figure tells the unit, or what is up; or what is given is none of these.
     """
     skeleton = getattr(figure, "skeleton", None)
     names = [name.lower().rpartition(":")[2] for name in (skeleton or figure).names]
@@ -128,8 +119,7 @@ def to_world(
             remedy = f"say it with unit=, or --unit: one of {', '.join(UNITS)}"
             raise at.error("neither the file nor its points say the unit", remedy=remedy)
         notes += [said] if said else []
-    scale = UNITS[unit] if isinstance(unit, str) else float(unit)
-    return _turned(replace(figure, notes=tuple(notes)), scale, axes or table[up])
+    return _turned(replace(figure, notes=tuple(notes)), metres(unit), axes or table.get(up, up))
 
 
 def _turned(figure: Figure, scale: float, axes: str) -> Figure:
@@ -137,9 +127,8 @@ def _turned(figure: Figure, scale: float, axes: str) -> Figure:
     if not isinstance(figure, Motion):
         return replace(figure, positions=(scale * figure.positions @ world.T).float())
     skeleton, root, rot = figure.skeleton, figure.root, figure.rot.clone()
-    if axes != "xyz" or scale != 1:
-        rot[:, 0] = world.to(rot) @ rot[:, 0]
-        root = scale * root @ world.to(root).T
+    rot[:, 0] = world.to(rot) @ rot[:, 0]
+    root = scale * root @ world.to(root).T
     if skeleton.offsets.dtype != torch.float32 or scale != 1:
         skeleton = replace(skeleton, offsets=skeleton.offsets * scale).to(torch.float32)
     return replace(figure, skeleton=skeleton, root=root.float(), rot=rot.float())
@@ -254,9 +243,10 @@ def rerooted(
     names, parents, offset = skeleton.names, skeleton.parents, skeleton.offsets.double().numpy()
     reach = longest_chain(skeleton) or 1e-12
     strays = np.abs(place - offset).max((0, 2)) > SAME * reach
-    chain = _trunk(parents)
-    top = [0, *(joint for joint in chain if strays[joint])][-1]
-    above = chain[: chain.index(top)]
+    paths = ancestors(parents)
+    size = Counter(joint for path in paths for joint in path)
+    top = [0, *(joint for joint in range(len(parents)) if strays[joint] and size[joint] >= _TRUNK * size[0])][-1]
+    above = paths[top]
     root, first = torch.from_numpy(place[:, top]), rot[:, top]
     for joint in reversed(above):
         root = torch.from_numpy(place[:, joint]) + (rot[:, joint] @ root[..., None])[..., 0]
@@ -264,7 +254,7 @@ def rerooted(
     if above:
         said = ", ".join(names[j] for j in above)
         at.notes.append(f"root is {names[top]}, whose position changes; it takes on the motion of {said} above")
-    kept = [j for j, path in enumerate(ancestors(parents)) if top in (j, *path)]
+    kept = [j for j, path in enumerate(paths) if top in (j, *path)]
     if beside := [name for j, name in enumerate(names) if j not in (*kept, *above)]:
         at.notes.append(f"joints beside the root are left out: {', '.join(beside)}")
     mean = place.mean(0)
@@ -285,15 +275,3 @@ def rerooted(
     offsets[0] = 0
     tree = (-1, *(kept.index(parents[j]) for j in kept[1:]))
     return kept, Skeleton(tuple(names[j] for j in kept), tree, offsets), root, rot
-
-
-def _trunk(parents: tuple[int, ...]) -> list[int]:
-    """From the root down, as long as one child holds nearly all that is below."""
-    size = Counter(j for child, path in enumerate(ancestors(parents)) for j in (child, *path))
-    chain = [0]
-    while below := [j for j, parent in enumerate(parents) if parent == chain[-1]]:
-        trunk = max(below, key=lambda j: size[j])
-        if len(below) > 1 and size[trunk] < _TRUNK * (size[chain[-1]] - 1):
-            break
-        chain.append(trunk)
-    return chain

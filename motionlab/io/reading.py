@@ -141,10 +141,9 @@ def check_keys(at: Location, arrays: dict[str, object], keys: Iterable[str]) -> 
 def read_npy(at: Location, data: bytes, objects: Callable | None = None) -> object:
     """Reads the array of a .npy; of one of Python objects what ``objects(at, pickle)`` makes, else it is refused."""
     stream = io.BytesIO(data)
-    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    if (version := np.lib.format.read_magic(stream)) not in header:
-        raise at.error(f"npy version {version} is not known")
-    shape, fortran, dtype = header[version](stream)
+    version = np.lib.format.read_magic(stream)
+    old, new = np.lib.format.read_array_header_1_0, np.lib.format.read_array_header_2_0
+    shape, fortran, dtype = (old if version == (1, 0) else new)(stream)
     if dtype.hasobject:
         if objects is not None:
             return objects(at, stream.read())

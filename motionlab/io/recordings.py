@@ -20,7 +20,6 @@ from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
 _TEXTS = (".json", ".txt")
-_MOST = 8  # kinds of notes that are told
 _SET = "Set MOTIONLAB_DATA to a folder with one sub-folder of recordings per source."
 
 
@@ -122,13 +121,11 @@ def inventory(
 
 def guesses(noted: Iterable[tuple[Path, Sequence[str]]]) -> tuple[str, ...]:
     """Sums up notes of files, doubts first: those that differ by numbers alone are one, of which the first is told."""
-    kinds: dict[tuple[bool, str], list[str]] = {}
+    kinds: dict[str, list[str]] = {}
     for path, note in ((path, note) for path, notes in noted for note in notes):
-        kind = ("--" not in note, re.sub(r"[\d.]+", "0", note.partition(":")[0]))  # what offers an option doubts
-        kinds.setdefault(kind, []).append(f"{path.name}: {note}")
-    told = [kinds[kind] for kind in sorted(kinds, key=lambda kind: (kind[0], -len(kinds[kind])))]
-    more = [f"{len(told) - _MOST} notes more, of other kinds"] if len(told) > _MOST else []
-    return (*(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told[:_MOST]), *more)
+        kinds.setdefault(re.sub(r"[\d.]+", "0", note.partition(":")[0]), []).append(f"{path.name}: {note}")
+    told = sorted(kinds.values(), key=lambda each: ("--" not in each[0], -len(each)))  # what offers an option doubts
+    return tuple(f"{len(each)} such as {each[0]}" if len(each) > 1 else each[0] for each in told)
 
 
 def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, float, tuple]:

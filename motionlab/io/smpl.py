@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from motionlab import rotation
 from motionlab.body import BodyModel
@@ -32,8 +31,8 @@ from motionlab.io.reading import (
 from motionlab.motion import Motion, single
 from motionlab.skeleton import STANDARD
 
-#: Joints of a model -> its name. All begin with the same 22: root and 21 body joints.
-MODELS = {24: "smpl", 52: "smplh", 55: "smplx"}
+#: Joints of SMPL, SMPL+H and SMPL-X. All begin with the same 22: root and 21 body joints.
+_MODELS = (24, 52, 55)
 #: Keys of poses, whole or split, of translations and of frame rates; what is in the world before what is in a camera.
 POSES = ("pose_world", "poses", "smpl_poses", "pose", "fullpose", "pred_rotmat")
 ROOT, PARTS = ("root_orient", "global_orient", "poses_root"), ("pose_body", "body_pose", "poses_body")
@@ -48,7 +47,7 @@ _SYSTEMS = {
 }  # fmt: skip
 _OF_FRAME = ("tid", "smpl", "camera", "tracked_time")  # lists of PHALP's: a number, a body, where, frames unseen
 #: Columns a joint, over three, of which there are twice as many: 6-D rotations.
-_DOUBLE = {2 * joints for joints in (BODY - 1, BODY, BODY + 1, *MODELS)}
+_DOUBLE = {2 * joints for joints in (BODY - 1, BODY, BODY + 1, *_MODELS)}
 _FASTEST, _FARTHEST = 30.0, 30.0  # metres a second, and from the origin: more are hardly a person's
 
 
@@ -87,16 +86,12 @@ def _by_person(at: Location, tree: object) -> object:
         return tree
     people: dict[int, dict[str, list]] = {}
     for frame in frames:
-        if lacking := sorted({*_OF_FRAME, "time"} - frame.keys()):
-            raise at.error(f"a frame of PHALP lacks {', '.join(lacking)}", remedy="write it with PHALP anew")
         for who, body, place, unseen in zip(*(frame[key] for key in _OF_FRAME), strict=True):
             if not array_of(at, unseen):
                 row = {"transl": place, "frame_ids": frame["time"]} | {key: body[key] for key in (ROOT[1], PARTS[1])}
                 own = people.setdefault(int(array_of(at, who)), {key: [] for key in row})
                 for key, value in row.items():
                     own[key].append(value)
-    if not people:
-        raise at.error("in no frame of PHALP anybody was seen", remedy="track a film in which somebody is")
     return {"phalp_cam": people}
 
 
@@ -120,8 +115,6 @@ def _turns(at: Location, arrays: dict[str, np.ndarray]) -> np.ndarray:
         raise at.error(f'neither "poses" nor "{(PARTS if root else ROOT)[0]}" is there', place="keys")
     keys = [whole] if whole else [root, parts]
     turns = [_axis_angles(at, arrays[key], key) for key in keys]
-    if len({len(part) for part in turns}) > 1:
-        raise at.error(f"expected equally many frames, got {[len(part) for part in turns]}", place=", ".join(keys))
     turns = np.concatenate(turns, axis=1)
     angles = np.linalg.norm(turns, axis=-1)
     if angles.any() and np.quantile(angles[angles > 0], 0.75) > 2 * np.pi:
@@ -158,18 +151,14 @@ def _rate(at: Location, arrays: dict[str, np.ndarray], system: str, usual: float
     return next(iter(rates.values()), usual)
 
 
-def load_motion(
-    path: str | Path, *, pelvis_offset: Tensor | None = None, person: int = 0, up: Axes = None, axes: Axes = None,
-    fps: Fps = None,
-) -> Motion:  # fmt: skip
+def load_motion(path: str | Path, *, person: int = 0, up: Axes = None, axes: Axes = None, fps: Fps = None) -> Motion:
     """Reads the body of a file as a Motion on 22 joints; hands, jaw and eyes are left out, shapes are not read.
 
-    root = trans + pelvis_offset. SMPL's translation is not the pelvis: pelvis = trans + J_0(betas), where J_0 is
-    the pelvis of the shaped template, which the root rotation leaves where it is. Without the body model J_0 is
-    not known and the root lies some 0.3 m off (upwards for SMPL); the motion is the same.
+    root = trans. SMPL's translation is not the pelvis: pelvis = trans + J_0(betas), where J_0 is the pelvis of the
+    shaped template, which the root rotation leaves where it is. Without the body model J_0 is not known and the root
+    lies some 0.3 m off (upwards for SMPL); the motion is the same.
 
     Args:
-        pelvis_offset: (3,) J_0(betas) in metres; None is zero.
         person: whom, of a file of several; the longest first.
         up, axes: instead of z up (GVHMR, WHAM and AIST++: y; TRAM: -y), which is doubted where the heads of the file
             are above its feet along another axis. fps: instead of the file's.
@@ -177,9 +166,7 @@ def load_motion(
     Raises:
         DataError: a key is missing, its numbers have another shape or are not finite, or two frame rates differ;
             nothing that a pickle asks for is executed.
-        ShapeError: pelvis_offset is not (3,).
     """
-    judging.check_given(None, up, axes)
     with reading(path, 'save "poses" (T, 66 or more), "trans" (T, 3) and "mocap_framerate"') as at:
         arrays, (system, says_up, usual) = _arrays(at, person)
         turns = _turns(at, arrays)
@@ -202,36 +189,29 @@ def load_motion(
         far = np.linalg.norm(np.median(trans, axis=0))
         if fast > _FASTEST or far > _FARTHEST:
             at.notes.append(f"{key} moves by up to {fast:.3g} m/s, {far:.3g} m from the origin: is it in metres?")
-        offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
-        check_shape(offset, "3", "pelvis_offset")
-        if pelvis_offset is None:
-            at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
+        at.notes.append("pelvis offset J_0(betas) not given: SMPL's translation is taken as the place of the root")
         if joints > BODY:
-            model = MODELS.get(joints, f"{joints} joints")
-            at.notes.append(f"{model}: hands and face are left out, {BODY} joints of the body are read")
-        root = torch.from_numpy(trans) + offset.double().cpu()
+            at.notes.append(f"{joints} joints: hands and face are left out, {BODY} joints of the body are read")
         rot = rotation.axis_angle_to_matrix(torch.from_numpy(turns[:, :BODY]))
-        motion = Motion(STANDARD, root, rot, rate, contacts, at.path.stem, tuple(at.notes))
+        motion = Motion(STANDARD, torch.from_numpy(trans), rot, rate, contacts, at.path.stem, tuple(at.notes))
         return judging.to_world(at, motion, unit=1.0, up=up, axes=axes, says_up=says_up, trust=0.5)
 
 
-def save_motion(path: str | Path, motion: Motion, *, pelvis_offset: Tensor | None = None) -> None:
-    """Writes a motion on SMPL's 22 joints as an AMASS npz that ``load_motion`` with the same offset gives back exactly.
+def save_motion(path: str | Path, motion: Motion) -> None:
+    """Writes a motion on SMPL's 22 joints as an AMASS npz that ``load_motion`` gives back exactly.
 
-    trans = root - pelvis_offset; the hands of SMPL+H and the betas are zero; contacts are kept under ``contacts``.
+    trans = root; the hands of SMPL+H and the betas are zero; contacts are kept under ``contacts``.
 
     Raises:
         ShapeError: batch axes, no frames, or not 22 joints.
         DataError: NaN or infinity, or the file cannot be written.
     """
     single(motion, path)
-    offset = torch.zeros(3) if pelvis_offset is None else pelvis_offset
-    check_shape(offset, "3", "pelvis_offset")
     check_shape(motion.rot, f"T {BODY} 3 3", "rot")
     turns = rotation.matrix_to_axis_angle(motion.rot.double()).flatten(-2)
     content = {
         "poses": torch.nn.functional.pad(turns, (0, 3 * (52 - BODY))).cpu().numpy(),
-        "trans": (motion.root.double().cpu() - offset.double().cpu()).numpy(),
+        "trans": motion.root.double().cpu().numpy(),
         "betas": np.zeros(16),
         "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(motion.fps)),
@@ -279,10 +259,9 @@ def load(path: str | Path, betas: Sequence[float] = ()) -> BodyModel:
             raise at.error(f"{height:.3g} m high (y is up)", place="v_template", remedy="convert it to metres, y up")
         table = checked_array(at, raw["kintree_table"], "2 J", "kintree_table")
         parents = [-1, *table[0, 1:].astype(int).tolist()]  # the root's own entry is -1 or 2**32 - 1
-        if wrong := [joint for joint, parent in enumerate(parents) if joint and not 0 <= parent < joint]:
-            raise at.error(f"joint {wrong[0]} has parent {parents[wrong[0]]}", place="kintree_table")
-        if tuple(parents[:count]) != STANDARD.parents:
-            raise at.error("does not begin with the tree of SMPL's 22 body joints", place="kintree_table")
+        later = all(0 <= parent < joint for joint, parent in enumerate(parents[1:], start=1))
+        if tuple(parents[:count]) != STANDARD.parents or not later:
+            raise at.error("no tree that begins with SMPL's 22 body joints", place="kintree_table")
         shape = checked_array(at, raw["shapedirs"], f"{vertices} 3 B", "shapedirs")
         if len(betas) > shape.shape[-1]:
             raise at.error(f"{shape.shape[-1]} shape directions, fewer than the {len(betas)} betas", place="shapedirs")
@@ -304,15 +283,9 @@ def load(path: str | Path, betas: Sequence[float] = ()) -> BodyModel:
             folded[:, owners[joint]] += weights[:, joint]
         joints = regressor[:count] @ template
         offsets = joints - np.vstack((joints[:1], joints[list(STANDARD.parents[1:])]))
-        posed = None
-        if "posedirs" in raw:
-            posed = checked_array(at, raw["posedirs"], f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")
+        if (posed := raw.get("posedirs")) is not None:
+            posed = checked_array(at, posed, f"{vertices} 3 {9 * (len(parents) - 1)}", "posedirs")
             posed = torch.from_numpy(posed[..., : 9 * (count - 1)]).float()
-        notes = [f"{at.path.name}: {vertices} vertices, {len(parents)} joints"]
-        if len(parents) > count:
-            notes.append(f"weights of joints {count} to {len(parents) - 1} folded into the wrists and the head")
-        if vertices not in _VERTICES:
-            notes.append(f"no keypoint vertices are known for a mesh of {vertices} vertices")
         sole = float(joints[:, 1].min() - template[:, 1].min())
         return BodyModel(
             template=torch.from_numpy(template).float(),
@@ -323,5 +296,4 @@ def load(path: str | Path, betas: Sequence[float] = ()) -> BodyModel:
             skeleton=replace(STANDARD, offsets=torch.from_numpy(offsets).float(), sole=sole),
             keypoint_vertices=dict(zip(_POINTS, _VERTICES.get(vertices, ()), strict=False)),
             pose_directions=posed,
-            notes=tuple(notes),
         )

@@ -88,7 +88,8 @@ def pose2sim(folder: Path | str) -> Views:
         raise DataError(message, path=folder / "single_balancing", remedy="unpack the data set again")
     seen = [to_body_25(keypoints.load_person(p, fps=60.0, layout="BODY_25B")) for p in places]
     names = tuple(place.name.removesuffix("_json") for place in places)
-    markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc").select(list(COMPARED.values())).positions
+    markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc")
+    markers = markers.positions[:, [markers.names.index(name) for name in COMPARED.values()]]
     frames = min(len(markers), *(each.frames for each in seen))
     observation = at_rate(stacked([part(each, slice(frames)) for each in seen], name="single_balancing"))
     films = [folder / "videos" / f"{name}.mp4" for name in names]
