@@ -180,7 +180,10 @@ def convert(options: argparse.Namespace) -> int:
         if not 1 <= options.fps <= 1000:  # not a number is neither
             raise DataError(f"{options.fps:g} frames per second", place="--fps", remedy="give 1 to 1000")
         motion = resample(motion, options.fps)
-    WRITERS[suffix](target, motion, **{"body": BodyModel.from_anny()} if body else {})
+    if options.features and suffix != ".npy":
+        raise DataError("only a .npy holds features", path=target, remedy="leave out --features")
+    more = {"body": BodyModel.from_anny()} if body else {"as_features": True} if options.features else {}
+    WRITERS[suffix](target, motion, **more)
     for note in motion.notes[told:]:
         say_note(note)
     print(f"{target}: {motion.frames} frames at {motion.fps:g} fps, {len(motion.skeleton)} joints")

@@ -107,6 +107,7 @@ def _add_motions(add: Callable) -> None:
     _add_reading(command, rate=("--fps-in",))
     option("--rest", choices=("t", "a"), help="of a .bvh or bones: a T or an A as the rest pose")
     option("--standard", action="store_true", help="put it on the 22 standard joints (always for .npz)")
+    option("--features", action="store_true", help="a .npy of HumanML3D's 263 numbers, not of 22 joints")
     option("--bones", action="store_true", help="a .glb of the file's own joints, no body on the 22")
 
 
