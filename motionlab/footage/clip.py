@@ -236,7 +236,7 @@ def straightened(clip: Clip) -> Clip:
         gone = ~np.isfinite(points[..., :2]).all(-1)
         points[gone | ~seen] = 0
         lost, count = lost + int((gone & seen).sum()), count + int(seen.sum())
-        found.append(replace(track, points=points))
+        found.append(points)
     notes = [f"the lens is taken out of keypoints and pictures: {', '.join(f'{x:g}' for x in clip.camera.distortion)}"]
     if lost > _OUTSIDE * count:
         message = f"no point of the image is where {lost / count:.0%} of the keypoints are"

@@ -198,15 +198,14 @@ def straight(pictures: Iterable[np.ndarray], camera: Camera) -> Iterator[np.ndar
     """Yields pictures (H, W, 3) as a pinhole would have taken them, by the nearest pixel; black where there is none."""
     at = None
     for picture in pictures:
-        high, wide = picture.shape[:2]
-        if at is None or at[0].shape != (high, wide):
-            scale = np.array([camera.width / wide, camera.height / high])
-            there = np.stack(np.meshgrid(np.arange(wide), np.arange(high)), -1)
-            from_ = np.nan_to_num(distorted(there * scale, camera) / scale, nan=-1.0, posinf=-1.0, neginf=-1.0)
-            x, y = from_.round().clip(-1, max(high, wide)).astype(int).transpose(2, 0, 1)
-            inside = (x >= 0) & (x < wide) & (y >= 0) & (y < high)
-            at = inside, y.clip(0, high - 1), x.clip(0, wide - 1)
-        yield np.where(at[0][..., None], picture[at[1], at[2]], np.uint8(0))
+        if at is None:
+            size = np.array(picture.shape[1::-1])
+            scale = np.array([camera.width, camera.height]) / size
+            there = np.stack(np.meshgrid(*map(np.arange, size)), -1)
+            from_ = (distorted(there * scale, camera) / scale).round()
+            inside = ((from_ >= 0) & (from_ < size)).all(-1, keepdims=True)
+            at = np.where(inside, from_, -1).astype(int)  # the black border
+        yield np.pad(picture, ((0, 1), (0, 1), (0, 0)))[at[..., 1], at[..., 0]]
 
 
 def _tables(at: Location) -> dict[str, Table]:

@@ -174,8 +174,7 @@ def from_npz(at: Location) -> Detections:
         remedy = f"unpack it, if it is a folder's archive, and name the folder; else {detections.PLAIN}"
         raise at.error("the key keypoints is missing", place="keys", remedy=remedy)
     array = arrays["keypoints"]
-    points = pixels(at, array, "T P K D" if array.ndim == 4 else "T K D", "keypoints")
-    points = points if array.ndim == 4 else points[:, None]
+    points = pixels(at, array[:, None] if array.ndim == 3 else array, "T P K D", "keypoints")
     *lead, axes = points.shape
     if axes not in (2, 3):
         raise at.error(f"expected x, y and confidence, got {axes} numbers a point", place="keypoints")
@@ -229,7 +228,7 @@ def from_json(at: Location, document: object) -> Detections:
     return _landmarks(at, document)
 
 
-def _person(at: Location, one: object, about: str = "", *, needed: bool = False) -> detections.Sighting:
+def _person(at: Location, one: object, *, needed: bool = False) -> detections.Sighting:
     """A flat list x, y, confidence, x, ...; or rows of coordinates, or x and y apart, with the scores beside them.
 
     No points, or an empty list, is somebody who was not found. needed: the key of the points has to be there.
@@ -244,7 +243,7 @@ def _person(at: Location, one: object, about: str = "", *, needed: bool = False)
     elif isinstance(values, list) and values and isinstance(values[0], list):  # MMPose
         xy = pixels(at, values, "K D")
         if xy.shape[1] != 2:
-            raise at.error(f"{xy.shape[1]} coordinates a point{about}: 3-D", remedy="give the 2-D detector's file")
+            raise at.error(f"{xy.shape[1]} coordinates a point: 3-D", remedy="give the 2-D detector's file")
         points = detections.with_scores(at, xy, one.get("keypoint_scores"))
     elif values is not None or key == "keypoints":
         if not isinstance(values, list) or len(values) % 3:
@@ -273,9 +272,8 @@ def _mmpose(at: Location, document: dict | list) -> Detections:
     if not any("instances" in frame for frame in frames):
         frames = [{"instances": frames}]  # one image
     people = ((whole_number(frame.get("frame_id", n)), frame["instances"]) for n, frame in enumerate(frames))
-    read = partial(_person, at, about=f" (data set {meta.get('dataset_name', 'not named')})", needed=True)
     names = point_names(at, meta.get("keypoint_id2name"))
-    return detections.collect(at, "MMPose", people, read, names=names, lowest=_MMPOSE)
+    return detections.collect(at, "MMPose", people, partial(_person, at, needed=True), names=names, lowest=_MMPOSE)
 
 
 def _of_images(at: Location, images: dict[object, Iterable], *, alphapose: bool) -> Detections:
