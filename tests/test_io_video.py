@@ -65,7 +65,7 @@ def test_what_is_no_footage(tmp_path):
     (tmp_path / "empty.mp4").touch()
     (tmp_path / "images").mkdir()
     for name, message in (
-        ("text.mp4", "text.mp4"), ("empty.mp4", "no video"), ("images", "0 images"), ("none", "no such file")
+        ("text.mp4", "text.mp4"), ("empty.mp4", "empty"), ("images", "0 images"), ("none", "no such file")
     ):  # fmt: skip
         with pytest.raises(DataError, match=message) as caught:
             video.open_video(tmp_path / name)

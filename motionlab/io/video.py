@@ -87,6 +87,8 @@ def open_video(path: str | Path) -> Video:
             images = tuple(sorted(found, key=_numbered))
             first = _image(images[0])
             return Video(at.path, None, first.shape[1::-1], len(images), images)
+        if not at.path.stat().st_size:
+            raise at.error("the file is empty")
         times, notes = _times(at)
         stream = imageio_ffmpeg.read_frames(os.path.abspath(at.path))
         found = next(stream)
