@@ -182,26 +182,18 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
     monkeypatch.setitem(sys.modules, "rtmlib", None)
     with pytest.raises(MissingData) as caught:
         detect.find(video, tmp_path / "keypoints.npz")
-    for word in (
-        "pip install -c constraints.txt -e '.[detect]'",
-        "--keypoints",
-        "OpenPose",
-        "MMPose",
-        "AlphaPose",
-        "--write_json",
-    ):
+    for word in ("pip install -c constraints.txt -e '.[detect]'", "--keypoints", "OpenPose", "docs/own_footage.md"):
         assert word in str(caught.value)
 
     bare, damaged = "No module named 'onnxruntime'", "INVALID_PROTOBUF : Load model from yolox.onnx failed"
     for error, message in (
-        (OSError("no route to host"), "could not be fetched.*no route to host"),
+        (OSError("no route to host"), "OSError: no route to host.*to the network"),
         (ModuleNotFoundError(bare, name="onnxruntime"), rf"package.*{bare}.*pip install.* '\.\[detect\]'"),
-        (RuntimeError(damaged), "cannot be used.*yolox.onnx.*delete it"),
+        (RuntimeError(damaged), "yolox.onnx.*delete"),
     ):
         monkeypatch.setitem(sys.modules, "rtmlib", Mock(**{"BodyWithFeet.side_effect": error}))
-        with pytest.raises(MissingData, match=message) as caught:
+        with pytest.raises(MissingData, match=message):
             detect.find(video, tmp_path / "keypoints.npz")
-        assert ("fetched (" in str(caught.value)) == isinstance(error, OSError)
     with pytest.raises(DataError, match="nobody was found"):
         detect.find(video, tmp_path / "keypoints.npz", finder=lambda picture: (np.zeros((0, 26, 2)), np.zeros((0, 26))))
     with pytest.raises(ShapeError, match="26"):
@@ -220,10 +212,5 @@ def test_keypoints_of_another_video_are_not_taken_for_those_of_this_one(tmp_path
     out = tmp_path / "out"
     for name, count in (("a", FRAMES), ("a", FRAMES), ("b", 2 * FRAMES), ("b", 2 * FRAMES)):
         read = clip.open_clip(None, tmp_path / f"{name}.mp4", out=out)
-        assert len(found) == count and read.footage.frames == FRAMES
-        assert detect.found_in(out / "keypoints.npz") == f"{name}.mp4"
+        assert len(found) == count and read.footage.frames == FRAMES and (out / f"{name}_keypoints.npz").exists()
     assert any("earlier run" in note for note in read.notes)
-    with np.load(out / "keypoints.npz") as whole:
-        np.savez(out / "keypoints.npz", **{key: whole[key] for key in whole if key != "video"})
-    clip.open_clip(None, tmp_path / "a.mp4", out=out)
-    assert len(found) == 2 * FRAMES  # of a file that does not say, as before

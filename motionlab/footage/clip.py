@@ -122,7 +122,7 @@ def open_clip(
 ) -> Clip:  # fmt: skip
     """Reads keypoints and opens their video, which says rate and size where the keypoints do not.
 
-    out: folder for the keypoints, where they have to be found (``keypoints.npz``).
+    out: folder for the keypoints, where they have to be found (``VIDEO_keypoints.npz``).
 
     Raises:
         DataError: either cannot be read, or the video is shorter than the keypoints. MissingData: see ``detect.find``.
@@ -133,8 +133,8 @@ def open_clip(
             raise MissingData("the keypoints", "Give a video, or --keypoints FILE_OR_FOLDER.")
         if out is None:
             raise DataError("nowhere to keep the keypoints that are found", remedy="name a folder: --out OUT/")
-        keypoints_path = output_folder(out) / "keypoints.npz"
-        if keypoints_path.exists() and detect.found_in(keypoints_path) in (None, shown.path.name):
+        keypoints_path = output_folder(out) / f"{shown.path.stem}_keypoints.npz"
+        if keypoints_path.exists():
             notes = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
         else:
             detect.find(shown, keypoints_path, fps=fps, progress=bool(begins("keypoints", progress)))
@@ -288,8 +288,6 @@ def check_image(clip: Clip, seen: Observation2D, camera: str | Path | None = Non
     outside = ((seen.keypoints < 0) | (seen.keypoints > torch.tensor(size))).any(-1) & (seen.confidence > 0)
     share = float(outside.sum() / (seen.confidence > 0).sum())
     if share > _OUTSIDE:
-        remedy = "they may be of images of another size, or of ones not turned upright: give that size (--size WxH)"
-        if clip.camera is not None:
-            remedy = "give the camera that took these images, at the same resolution (see --camera-name)"
+        remedy = "of another size, or not turned upright? Give the size (--size WxH), or the camera (--camera-name)"
         message = f"{share:.0%} of the detections lie outside its image of {size[0]} x {size[1]}"
         raise DataError(message, path=camera or (clip.video and clip.video.path) or clip.footage.path, remedy=remedy)

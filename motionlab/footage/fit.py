@@ -4,8 +4,6 @@
 and a report. ``fit.json`` says at the end whether the folder is finished: not stopped, and nothing left to draw.
 """
 
-import contextlib
-import hashlib
 import json
 import shutil
 import tempfile
@@ -45,38 +43,23 @@ _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].nor
 def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> bool:
     """Says whether ``run_clip`` has written a folder, to the end and without having been stopped.
 
-    how: arguments of ``run_clip`` by name; then only a folder made with the same, of files with the same content.
+    how: arguments of ``run_clip`` by name; then only a folder made with the same, and after the files that it is of.
     """
+    old, given = _earlier(Path(out)), how or {}
+    asked, files = old.get("asked", {}), [Path(given[name]) for name in _READ if given.get(name) is not None]
+    times = [each.stat().st_mtime for path in files for each in (path, *path.glob("*")) if each.exists()]
+    same = all(str(value) == asked[name] for name, value in given.items() if name in asked)
+    return old.get("finished") is True and same and max(times, default=0.0) <= (Path(out) / RESULT).stat().st_mtime
+
+
+def _earlier(out: Path) -> dict[str, object]:
+    """What an earlier run said of itself, ``RESULT`` among its files; nothing where there was none."""
     try:
-        record = json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))
-        return record["finished"] is True and (how is None or record["asked"] == _asked(**how))
+        old = json.loads((out / RESULT).read_text(encoding="utf-8"))
+        files = [RESULT, *(Path(str(name)).name for name in old["files"])]
+        return old | {"files": files} if "finished" in old else {}
     except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
-def _asked(person="longest", solver="shooting", quick=False, draws=0, height=None, **given) -> dict[str, object]:
-    """What decides about a fit, of the arguments of ``run_clip``, as plain JSON: null is not given; of files a hash."""
-    rows = {name: given.get(name) for name in ("size", "pelvis")}
-    return {
-        "person": [str(word) for word in ([person] if isinstance(person, str | int) else person)],
-        "solver": solver, "quick": quick,
-        **{name: None if given.get(name) is None else _stamp(Path(given[name]), name != "video") for name in _READ},
-        **{name: None if row is None else [*map(float, row)] for name, row in rows.items()},
-        **{name: given.get(name) for name in ("fps", "layout", "camera_name")},
-        **({} if height is None else {"height": float(height)}), **({"draws": int(draws)} if draws else {}),
-    }  # fmt: skip
-
-
-def _stamp(path: Path, whole: bool) -> str:
-    """A hash of a name (a camera may be told by it) and a file, or the files of a folder: their content or sizes."""
-    files = [file for file in sorted(path.iterdir()) if file.is_file()] if path.is_dir() else [path]
-    found = hashlib.sha256(path.name.encode())
-    for file in files:
-        with contextlib.suppress(OSError):  # what is not there or may not be read is refused by its loader
-            found.update(f"/{file.name} {file.stat().st_size} ".encode())
-            if whole and (file == path or file.suffix in (".json", ".txt")):  # pictures may lie beside them
-                found.update(file.read_bytes())
-    return found.hexdigest()[:16]
+        return {}
 
 
 def run_clip(
@@ -115,7 +98,7 @@ def run_clip(
             found before the fit. MissingData: no keypoints, and no detector.
         KeyboardInterrupt: stopped, and not finished.
     """
-    asked = _asked(**locals())
+    asked = {name: str(value) for name, value in locals().items() if name not in ("out", "progress")}
     if draws and (quick or solver != "shooting" or not 1 <= draws <= DRAWS):
         what = "a quick fit" if quick else f"the solver {solver}" if solver != "shooting" else f"{draws} draws"
         raise DataError(f"no draws for {what}", place="draws", remedy=f"ask for 1 to {DRAWS} of a usual fit")
@@ -140,7 +123,7 @@ def run_clip(
         part = Path(folder)
         files = _write(part, ids, fitted, others, record, body)
         record["files"] = [*files, "report.html"]
-        for name in _of_earlier(out):
+        for name in _earlier(out).get("files", ()):
             (out / name).unlink(missing_ok=True)
         for name in files:
             (part / name).replace(out / name)
@@ -150,9 +133,6 @@ def run_clip(
             poster = _film(part / "overlay.mp4", clip, fitted, body, others, quick, progress).poster
             (part / "overlay.mp4").replace(out / "overlay.mp4")
             record["files"].insert(-1, "overlay.mp4")
-        except KeyboardInterrupt:
-            record["notes"].append("stopped while the film was drawn: there is none")
-            record["finished"] = False
         except Exception as error:  # of the machine, where the same call would not draw it either
             record["notes"].append(f"the film could not be drawn: {type(error).__name__}: {error}")
         _report(out, record, began, poster)
@@ -169,18 +149,9 @@ def _check_free(out: Path, stems: Sequence[str]) -> None:
     """Checks that only files of an earlier fit are overwritten."""
     names = {f"{stem}.{suffix}" for stem in stems for suffix in ("bvh", "npz")}
     names |= {"scene.glb", "draws.glb", "overlay.mp4", "report.html", RESULT}
-    if others := sorted(name for name in names - {*_of_earlier(out)} if (out / name).exists()):
+    if others := sorted(name for name in names - {*_earlier(out).get("files", ())} if (out / name).exists()):
         message = f"{', '.join(others)} would be overwritten, and no earlier fit wrote that"
         raise DataError(message, path=out, remedy="move it away, or name another folder: --out OUT/")
-
-
-def _of_earlier(out: Path) -> list[str]:
-    """The names of the files that an earlier run wrote."""
-    try:
-        old = json.loads((out / RESULT).read_text(encoding="utf-8"))
-        return [RESULT, *(Path(str(name)).name for name in old["files"])] if "finished" in old else []
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
 
 
 def _write(

@@ -123,16 +123,15 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
         return _of_height(seen, config, config.height)
     enough = (seen.confidence[..., USED] > 0).sum(-1) >= MIN_KEYPOINTS
     people, frames = enough.shape
-    whole = frames <= MAX_FRAMES
-    starts = (0,) if whole else _window_starts(frames)
-    length = frames if whole else WINDOW
+    many = frames > MAX_FRAMES
+    starts, length = (_window_starts(frames), WINDOW) if many else ((0,), frames)
     camera, notes = config.camera, []
     floor = None if camera is None else "camera" if config.placed else "guess"
-    if not config.placed and (people > 1 or len(starts) > 1):
+    if not config.placed and (people > 1 or many):
         camera, notes = _common_camera(seen, enough, config)
         floor = "camera"
     pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
-    reasons, energy, stopped, many, draws = [], {}, False, len(starts) > 1, []
+    reasons, stopped, draws = [], False, []
     where = config.keep if many else None
     for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or config.progress is not True)):
         if many:
@@ -161,11 +160,10 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
                     checkpoint.keep(file, *found)
             tensors, (said, ended, terms) = found
             notes, reasons = notes + said, reasons + ended
-            for name, values in zip(terms, tensors["energy"].tolist(), strict=True):
-                for person, value in zip(some, values, strict=True):
-                    energy.setdefault(name, [0.0] * people)[person] += value
             for row, person in enumerate(some):
-                pieces[person].append({"start": start} | {key: tensors[key][row] for key in _KEYS})
+                spent = dict(zip(terms, tensors["energy"][:, row].tolist(), strict=True))
+                pieces[person].append({"start": start, "energy": spent} | {key: tensors[key][row] for key in _KEYS})
+    energy = {name: [sum(part["energy"][name] for part in parts) for parts in pieces] for name in terms}
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
     latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
     shown = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)[:, 0] > 0
@@ -315,13 +313,11 @@ def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
     depth = torch.where((depth > 0) & (rays[..., 2] < 0), depth, torch.nan)
     lower = depth.nan_to_num(torch.inf).amin(-1)  # the foot that is on the floor is the nearer one
     level = (rays[..., :2].norm(dim=-1) / rays.norm(dim=-1)).nanmedian(-1).values.clamp(min=0.5)
-    sizes = []
-    for a, b in _BONES:
-        for side in ("left", "right"):
-            one, other = BODY_25.index(f"{side}_{a}"), BODY_25.index(f"{side}_{b}")
-            length = float(STANDARD.offsets[STANDARD.index(f"{side}_{b}")].norm())
-            sizes.append((plane[..., one, :] - plane[..., other, :]).norm(dim=-1) * lower / level / length)
-    size = torch.stack(sizes, 1)  # (P, 8, T)
+    ends = [[f"{side}_{end}" for side in ("left", "right") for end in part] for part in zip(*_BONES, strict=True)]
+    one, other = ([BODY_25.index(name) for name in names] for names in ends)
+    length = STANDARD.offsets[STANDARD.indices(ends[1])].norm(dim=-1)
+    across = (plane[..., one, :] - plane[..., other, :]).norm(dim=-1)  # (P, T, 8)
+    size = (across * lower[..., None] / level[..., None] / length).mT
     told = size.isfinite() & (size.isfinite().sum(-1, keepdim=True) >= _BONE_FRAMES)
     return torch.where(told, size, torch.nan).nanquantile(0.9, dim=-1).nanmedian(-1).values.tolist()
 

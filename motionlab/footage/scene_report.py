@@ -1,8 +1,7 @@
 """Writes the report of a fit: terminal summary and one offline HTML page."""
 
 import base64
-from collections.abc import Mapping, Sequence
-from itertools import groupby
+from collections.abc import Mapping
 from pathlib import Path
 
 import jinja2
@@ -72,7 +71,7 @@ def lines(record: Record) -> list[str]:
     terms = sorted(energy.items(), key=lambda item: -item[1])[:4]
     said += [
         f"energy: {sum(energy.values()):.1f} ({', '.join(f'{name} {value:.1f}' for name, value in terms)})",
-        f"search ended: {_runs(record['ended'])}" + (" (stopped: the best so far)" if record["stopped"] else ""),
+        f"search ended: {', '.join(sorted({*record['ended']}))}{' (the best so far)' * record['stopped']}",
         f"camera {record['camera']['source']}; {_moving(record)}",
     ]
     for row in record["people"]:
@@ -124,12 +123,6 @@ def _moving(record: Record) -> str:
     return f"{said}and does not: {off}"
 
 
-def _runs(words: Sequence[str]) -> str:
-    """Words in a row, each run of the same once with its length: "steps, closures (9)"."""
-    counts = [(word, len(list(same))) for word, same in groupby(words)]
-    return ", ".join(f"{word} ({n})" if n > 1 else word for word, n in counts)
-
-
 def page(record: Record, poster: bytes = b"") -> str:
     """Returns the report of a record as one page, which plays ``overlay.mp4`` beside it."""
     values = [value for row in record["people"] for value in row["pixels"]["by_time"] if value is not None]
@@ -139,7 +132,7 @@ def page(record: Record, poster: bytes = b"") -> str:
         people.append(row | said | {"ink": ROLE[PEOPLE[k % len(PEOPLE)]]})
     return _PAGE.render(
         name=Path((record["footage"] or record["keypoints"])["path"]).name, record=record, people=people,
-        moving=_moving(record), ended=_runs(record["ended"]), poster=base64.b64encode(poster).decode(),
+        moving=_moving(record), poster=base64.b64encode(poster).decode(),
         top=max(values, default=1.0) or 1.0, last=max(1, len(record["people"][0]["pixels"]["by_time"]) - 1),
         strips=[(row, name, spans) for row in people for name, spans in row["contacts_by_time"].items()],
     )  # fmt: skip

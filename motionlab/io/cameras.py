@@ -105,8 +105,7 @@ def load_cameras(path: str | Path) -> dict[str, Camera]:
 def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
     """A camera of a table, if it can be one, and whether its place is known."""
     where = "" if name == "camera" else f"camera {name}, "  # the only one, without a name
-    if size is not None and not table.keys() & {"width", "height"}:
-        table = table | {"width": size[0], "height": size[1]}
+    table = dict(zip(("width", "height"), size or (), strict=False)) | table
     placed = bool(table.keys() & {"rotation", "translation"})
     needed = ["intrinsics", *(["rotation", "translation"] if placed else []), "width", "height"]
     if missing := [key for key in needed if key not in table]:
@@ -115,12 +114,10 @@ def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None 
         raise at.error("a fisheye lens", place="lens", remedy="undistort the footage (cv2.fisheye), and give that")
     width, height = (int(x) for x in image_size(at, [table["width"], table["height"]], where + "width, height"))
     k = checked_array(at, table["intrinsics"], "3 3", where + "intrinsics")
-    turn, shift = np.eye(3), np.zeros(3)
-    if placed:
-        turn = np.ravel(table["rotation"])
-        turn = checked_array(at, turn, "3" if len(turn) == 3 else "9", where + "rotation")
-        turn = exp(torch.from_numpy(turn)).numpy() if len(turn) == 3 else turn.reshape(3, 3)
-        shift = checked_array(at, np.ravel(table["translation"]), "3", where + "translation")
+    turn = np.ravel(table.get("rotation", np.eye(3)))
+    turn = checked_array(at, turn, "3" if len(turn) == 3 else "9", where + "rotation")
+    turn = exp(torch.from_numpy(turn)).numpy() if len(turn) == 3 else turn.reshape(3, 3)
+    shift = checked_array(at, np.ravel(table.get("translation", np.zeros(3))), "3", where + "translation")
     if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
         raise at.error(f"expected a rotation matrix, got {turn.tolist()}", place=where + "rotation")
     lens = checked_array(at, [*np.ravel(table.get("distortion", ())), 0.0], "N", where + "distortion").tolist()[:-1]
@@ -130,7 +127,7 @@ def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None 
     _check_pixels(at, k, width, height)
     tensors = (torch.from_numpy(each).float() for each in (k, turn, shift))
     camera = Camera(*tensors, width, height, tuple(lens[:8]) if any(lens) else ())
-    if placed and (far := float(camera.centre.norm())) > _FAR:
+    if (far := float(camera.centre.norm())) > _FAR:
         raise at.error(f"stands {far:.4g} m from the origin", place=where + "translation", remedy="give it in metres")
     return camera, placed
 

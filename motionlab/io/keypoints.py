@@ -184,10 +184,10 @@ def load(
     """
     with reading(path, "give what a 2-D pose detector wrote: a file, or a folder with one file per frame") as at:
         found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
+        if not any(found.frames.values()):
+            raise at.error("nobody was detected in any frame", place="")
         found, frames = _in_order(at, found, fps, film)
         size = image_size(at, size) if size is not None else found.size or (film and film.size)
-        if not any(frames):
-            raise at.error("nobody was detected in any frame", place="")
         everybody = np.stack([points for people in frames for points, _ in people]).astype(np.float32)
         notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
         if not (everybody[..., 2] > 0).any():
@@ -227,8 +227,6 @@ def _in_order(
     Numbers that are times or those of any pictures become frames, and a note says so; a number without a frame shows
     nobody.
     """
-    if not found.frames:
-        raise at.error("holds no frames", place="")
     fps = found.fps if fps is None else frame_rate(at, fps, "fps")
     given = sorted(found.frames)
     known = None if film is None else film.numbers or film.frames
@@ -237,7 +235,7 @@ def _in_order(
     first, last = order[0], order[-1]
     if last - first >= MOST_FRAMES:
         raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
-    count, *others = [(len(points), n) for n in order for points, _ in frames[n]] or [(0, 0)]
+    count, *others = [(len(points), n) for n in order for points, _ in frames[n]]
     if other := next((each for each in others if each[0] != count[0]), None):
         raise at.error(f"expected {count[0]} keypoints, got {other[0]}", place=f"frame {other[1]}")
     rate = fps or told or (film and film.fps)
