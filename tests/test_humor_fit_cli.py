@@ -70,7 +70,7 @@ def test_everything_is_written_and_said(tmp_path, keypoints, capsys):
     begun = [line.split(":")[0] for line in bars.splitlines() if line.endswith(" ...")]
     assert begun == ["is the camera still? ...", "stage 1 of 3", "stage 2 of 3", "stage 3 of 3", "film ..."]
     assert "not known whether" not in said  # the feet were seen
-    for word in ("reprojection", "acceleration", "contacts", "energy", "joints2d", "camera given, and its place"):
+    for word in ("reprojection", "surprise of the prior", "AMASS", "camera given, and its place"):
         assert word in said
     found = record(out)
     person = found["people"][0]
@@ -218,7 +218,7 @@ def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, windows, few, monke
     with np.load(whole / "motion.npz") as a, np.load(out / "motion.npz") as b:
         assert all(np.array_equal(a[key], b[key]) for key in a)
     rows = [{**record(folder), "seconds": 0.0} for folder in (whole, out)]
-    assert rows[0] == rows[1] and len(rows[0]["ended"]) > 3 and rows[0]["energy"]  # of all windows, whoever fitted them
+    assert rows[0] == rows[1]
 
 
 def test_the_floor_is_where_feet_rest_that_are_in_contact(walk):

@@ -65,11 +65,6 @@ def test_control_without_distances_people_who_pass_are_taken_for_each_other(monk
     assert max(len(row) for row in followed(tracking.join(frames, gap=5), truth)) > 5
 
 
-def test_ids_of_a_file_are_used_where_they_tell_people_apart():
-    assert tracking.by_id([(0, 0, 5), (0, 1, 8), (2, 0, 8)]) == {5: [(0, 0)], 8: [(0, 1), (2, 0)]}
-    assert tracking.by_id([(0, 0, 0), (0, 1, 0)]) is None and tracking.by_id([(0, 0, 3), (0, 1, None)]) is None
-
-
 def test_of_a_crowd_a_bounded_number_is_compared(monkeypatch):
     """Three hundred strangers in every frame, remembered for ever: time goes with the number of frames."""
     sizes, compare, draw = [], tracking._distances, np.random.default_rng(0)

@@ -70,11 +70,11 @@ def find(
             raise ShapeError(f"finder: expected (P, 26, 2) and (P, 26), got {points.shape} and {scores.shape}")
         sure = np.where(scores < _LOWEST, 0.0, scores)
         frames.append(np.concatenate((points, sure[..., None]), -1))
-    table = np.zeros((len(frames), max([1, *map(len, frames)]), len(HALPE_26), 3), np.float32)
-    for row, people in zip(table, frames, strict=True):
-        row[: len(people)] = people
+    most = max([1, *map(len, frames)])
+    table = np.stack([np.pad(people, ((0, most - len(people)), (0, 0), (0, 0))) for people in frames])
     if not (table[..., 2] > 0).any():
         raise DataError("nobody was found in any frame", path=video.path, remedy="use another video")
     archive = io.BytesIO()
-    np.savez_compressed(archive, keypoints=table, names=np.array(HALPE_26), fps=fps, size=np.array(video.size))
+    about = {"names": np.array(HALPE_26), "fps": fps, "size": np.array(video.size)}
+    np.savez_compressed(archive, keypoints=table.astype(np.float32), **about)
     write_whole(path, archive.getvalue())

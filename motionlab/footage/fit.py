@@ -118,7 +118,7 @@ def run_clip(
     record = _record(clip, ids, fitted, drift, height)
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
     others = {k: each for k, each in enumerate(fitted.draws) if not record["people"][k]["doubtful"]}
-    body, poster = BodyModel.from_anny(), b""
+    body = BodyModel.from_anny()
     with writing(out), tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as folder:
         part = Path(folder)
         files = _write(part, ids, fitted, others, record, body)
@@ -130,13 +130,13 @@ def run_clip(
         _report(out, record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}, began)
         record["finished"] = not fitted.stopped
         try:
-            poster = _film(part / "overlay.mp4", clip, fitted, body, others, quick, progress).poster
+            _film(part / "overlay.mp4", clip, fitted, body, others, quick, progress)
             (part / "overlay.mp4").replace(out / "overlay.mp4")
             record["files"].insert(-1, "overlay.mp4")
         except Exception as error:  # of the machine, where the same call would not draw it either
             record["notes"].append(f"the film could not be drawn: {type(error).__name__}: {error}")
-        _report(out, record, began, poster)
-    if poster:
+        _report(out, record, began)
+    if "overlay.mp4" in record["files"]:
         shutil.rmtree(windows, ignore_errors=True)
     return record
 
@@ -179,15 +179,15 @@ def _write(
     return [*files, "scene.glb"]
 
 
-def _report(out: Path, record: dict[str, object], began: float, poster: bytes = b"") -> None:
+def _report(out: Path, record: dict[str, object], began: float) -> None:
     record["seconds"] = time.perf_counter() - began
-    write_whole(out / "report.html", scene_report.page(record, poster))
+    write_whole(out / "report.html", scene_report.page(record))
     write_whole(out / RESULT, json.dumps(record, indent=1, allow_nan=False))
 
 
 def _film(
     path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, draws: dict[int, Draws], quick: bool, bars: str | bool
-) -> film.Film:
+) -> None:
     count, rate, fps = clip.count, clip.rate, fitted.seen.fps
     at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
     played = [resample(replace(motion, contacts=None), rate) for motion in fitted.motions]
@@ -200,7 +200,7 @@ def _film(
     how |= {"area": _SMALL} if quick else {}
     places = {k: project(fitted.camera, each.motions.positions[:, at])[0] for k, each in draws.items()}
     how["ghosts"] = {k: (places[k], each.hidden[at]) for k, each in draws.items()}
-    return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
+    film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
 def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, height: float | None) -> dict:
@@ -232,7 +232,7 @@ def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray 
         "moving_camera": {"assumed": "the camera does not move", "background_drift": worst,
                           "moved": True if cuts else None if worst is None else worst > video.MOVED, "cuts_s": cuts},
         "people": people, "left_out": left_out, "frames": fitted.seen.frames, "fps": fitted.seen.fps,
-        "windows": fitted.windows, "energy": fitted.energy, "ended": list(fitted.reasons),
+        "windows": fitted.windows,
         "notes": [*clip.notes, *fitted.notes],
     }  # fmt: skip
 

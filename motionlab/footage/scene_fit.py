@@ -52,7 +52,7 @@ class SceneFit:
 
     motions: one per person, of the whole footage, on the fitted bones; unseen times are filled in. shown (P, T): seen,
     or only for a moment not. seen: keypoints of BODY_25 (P, T, 25, 2). camera: one for all. latent_chi2 (P,): see
-    ``testops.FitDiagnostics``. windows: how many. reasons: why each search ended. stopped: whether Ctrl-C ended it.
+    ``testops.FitDiagnostics``. windows: how many. stopped: whether Ctrl-C ended it.
     draws: of each person, other motions that explain as well what was seen, where they were asked for.
     """
 
@@ -61,9 +61,7 @@ class SceneFit:
     seen: Observation2D
     camera: Camera
     latent_chi2: Tensor
-    energy: dict[str, list[float]]
     windows: int
-    reasons: tuple[str, ...]
     notes: tuple[str, ...]
     stopped: bool = False
     draws: tuple[Draws, ...] = ()
@@ -131,7 +129,7 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
         camera, notes = _common_camera(seen, enough, config)
         floor = "camera"
     pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
-    reasons, stopped, draws = [], False, []
+    stopped, draws = False, []
     where = config.keep if many else None
     for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or config.progress is not True)):
         if many:
@@ -143,8 +141,7 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
             file = where and where / f"{_key(part, camera, config)}.safetensors"
             found = file and checkpoint.kept(file)
             if found is None:
-                inner = config if not many else replace(config, progress=False)
-                fitted = inner.fit(part, camera, floor)
+                fitted = replace(config, progress=not many and config.progress).fit(part, camera, floor)
                 stopped |= fitted.stopped
                 if fitted.stopped and many:
                     raise KeyboardInterrupt
@@ -158,12 +155,10 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
                     with writing(where):
                         where.mkdir(parents=True, exist_ok=True)
                     checkpoint.keep(file, *found)
-            tensors, (said, ended, terms) = found
-            notes, reasons = notes + said, reasons + ended
+            tensors, said = found
+            notes = notes + said
             for row, person in enumerate(some):
-                spent = dict(zip(terms, tensors["energy"][:, row].tolist(), strict=True))
-                pieces[person].append({"start": start, "energy": spent} | {key: tensors[key][row] for key in _KEYS})
-    energy = {name: [sum(part["energy"][name] for part in parts) for parts in pieces] for name in terms}
+                pieces[person].append({"start": start} | {key: tensors[key][row] for key in _KEYS})
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
     latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
     shown = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)[:, 0] > 0
@@ -175,10 +170,8 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     if config.draws and not draws:
         why = f"more than {MAX_FRAMES / 30:g} s is fitted in pieces" if many else "the fit was stopped"
         notes += [f"no other motions are drawn: {why}"]
-    return SceneFit(
-        tuple(motions), shown, seen, camera, latent_chi2, energy, windows=len(starts), reasons=tuple(reasons),
-        notes=tuple(dict.fromkeys(notes)), stopped=stopped, draws=tuple(draws),
-    )  # fmt: skip
+    notes = tuple(dict.fromkeys(notes))
+    return SceneFit(tuple(motions), shown, seen, camera, latent_chi2, len(starts), notes, stopped, tuple(draws))
 
 
 def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> SceneFit:
@@ -226,17 +219,12 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
     return camera, [note for note in fitted.notes if "camera assumed" in note]
 
 
-def _told(fitted: testops.Fitted) -> tuple[dict[str, Tensor], tuple[list[str], ...]]:
-    """What is kept of a fit: tensors, their energies (E, P) by term; notes, why each search ended, and the terms."""
-    motion, people, doubts = fitted.motion, len(fitted.betas), fitted.diagnostics
-    latent_chi2 = motion.root.new_full((people,), float("nan")) if doubts is None else doubts.latent_chi2
-    energy = fitted.energies[max(fitted.energies)]
-    tensors = {
-        "root": motion.root, "rot": motion.rot, "contacts": fitted.contacts, "betas": fitted.betas.detach(),
-        "latent_chi2": latent_chi2, "energy": torch.stack([*energy.values()]).detach(),
-    }  # fmt: skip
-    notes = [note for note in fitted.notes if "doubts" not in note]
-    return tensors, (notes, [one.reasons[-1] for some in fitted.results.values() for one in some], [*energy])
+def _told(fitted: testops.Fitted) -> tuple[dict[str, Tensor], list[str]]:
+    """What is kept of a fit: tensors, and notes."""
+    motion, doubts = fitted.motion, fitted.diagnostics
+    latent_chi2 = motion.root.new_full((len(fitted.betas),), torch.nan) if doubts is None else doubts.latent_chi2
+    values = (motion.root, motion.rot, fitted.contacts, fitted.betas.detach(), latent_chi2)
+    return dict(zip(_KEYS, values, strict=True)), [note for note in fitted.notes if "doubts" not in note]
 
 
 def _key(part: Observation2D, camera: Camera, config: SceneFitConfig) -> str:
@@ -247,7 +235,7 @@ def _key(part: Observation2D, camera: Camera, config: SceneFitConfig) -> str:
     tensors += (first.weights, first.means, first.covariances)
     for tensor in (*tensors, *(weight for network in networks for weight in network.parameters())):
         content.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    content.update(repr((config.schedule, config.solver, config.size, _KEYS)).encode())
+    content.update(repr((_KEYS, config.schedule, config.solver, config.size)).encode())
     return content.hexdigest()[:16]
 
 

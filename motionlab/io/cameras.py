@@ -8,13 +8,14 @@ the files seen so far have |k1| < 0.05, which moves a point by at most a few pix
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from kornia.geometry.calibration import distort_points
+from kornia.geometry.calibration import distort_points, undistort_points
 
 from motionlab.errors import DataError
 from motionlab.io.judging import axes_to_matrix
@@ -168,27 +169,23 @@ def for_images(camera: Camera, size: tuple[int, int], path: Path) -> tuple[Camer
 
 def distorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     """Computes where the camera's lens puts what a pinhole would put at pixels (..., 2)."""
-    lens = torch.zeros(8, dtype=torch.float64)
-    lens[: len(camera.distortion)] = torch.tensor(camera.distortion, dtype=torch.float64)
-    points = torch.from_numpy(pixels).double()
-    return distort_points(points.reshape(-1, 2), camera.intrinsics.double(), lens).reshape(points.shape).numpy()
+    return _through_lens(distort_points, pixels, camera)
 
 
 def undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     """Computes where a pinhole would put what the camera's lens put at pixels (..., 2); NaN where nothing comes there.
 
-    By fixed-point steps, from the point itself, each as far as it brings the point nearer.
+    By fixed-point steps, from the point itself, as OpenCV does.
     """
-    found, step = pixels.astype(float), np.ones(pixels.shape[:-1])
-    with np.errstate(over="ignore", invalid="ignore"):
-        miss = pixels - distorted(found, camera)
-        for _ in range(_ROUNDS):
-            tried = found + step[..., None] * miss
-            now = pixels - distorted(tried, camera)
-            nearer = np.linalg.norm(now, axis=-1) < np.linalg.norm(miss, axis=-1)
-            found, miss = (np.where(nearer[..., None], new, old) for new, old in ((tried, found), (now, miss)))
-            step = np.where(nearer, np.minimum(2 * step, 1), step / 2)
-    return np.where(np.linalg.norm(miss, axis=-1, keepdims=True) < _EXACT, found, np.nan)
+    found = _through_lens(undistort_points, pixels, camera, num_iters=_ROUNDS)
+    miss = np.linalg.norm(pixels - distorted(found, camera), axis=-1, keepdims=True)
+    return np.where(miss < _EXACT, found, np.nan)
+
+
+def _through_lens(way: Callable, pixels: np.ndarray, camera: Camera, **how) -> np.ndarray:
+    lens = torch.tensor([*camera.distortion, *[0.0] * 8][:8], dtype=torch.float64)
+    points = torch.from_numpy(pixels).double()
+    return way(points.reshape(-1, 2), camera.intrinsics.double(), lens, **how).reshape(points.shape).numpy()
 
 
 def straight(pictures: Iterable[np.ndarray], camera: Camera) -> Iterator[np.ndarray]:
@@ -219,8 +216,7 @@ def _tables(at: Location) -> dict[str, Table]:
     elif re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
         found = _colmap(at)
     elif suffix == ".toml" or re.match(rb"(#.*\n|\s)*\[[\w\"'.-]+\]\s", head):
-        tables = tomllib.loads(read_text(at))
-        found = {str(table.get("name") or key): known for key, table in tables.items() if (known := _known(table))}
+        found = _of_json(tomllib.loads(read_text(at)))
     else:
         raise at.error("no calibration of a known kind")
     if not found:
@@ -267,10 +263,10 @@ def _of_json(document: object) -> dict[str, Table]:
     """One camera, a list of some, or some by name; as they stand where nothing in them is known."""
     inner = document.get("cameras", document) if isinstance(document, dict) else document
     if isinstance(inner, list):
-        inner = {str(one.get("name", n)) if isinstance(one, dict) else str(n): one for n, one in enumerate(inner)}
+        inner = {str(n): one for n, one in enumerate(inner)}
     if found := _named(inner):
         return found
-    found = {str(name): known for name, one in inner.items() if (known := _known(one))}
+    found = {str(one.get("name") or name): known for name, one in inner.items() if (known := _known(one))}
     return found or {"camera": {word: inner[word] for word in WORDS if word in inner}}
 
 
@@ -307,10 +303,9 @@ def _yaml(text: str) -> dict[str, object]:
 
 
 def _value(text: str) -> object:
-    try:
+    with suppress(ValueError):
         return float(text)
-    except ValueError:
-        return text
+    return text
 
 
 def _easymocap(at: Location) -> dict[str, Table]:

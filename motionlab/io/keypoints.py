@@ -197,11 +197,10 @@ def load(
             raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
         ids = [[name for _, name in people] for people in frames]
         frames = np.split(everybody, np.cumsum([len(people) for people in frames])[:-1])
-        first, given = min(found.frames), sorted(found.frames)
-        stride = np.median(np.diff(given)) if len(given) > 1 else 1
-        gap = max(1, round(min(max(_GAP * found.fps, stride), len(frames))))
+        steps = np.diff(sorted(found.frames))
+        gap = round(max(1, _GAP * found.fps, np.median(steps) if len(steps) else 1))
         tracks, more = _told_apart(frames, ids, gap=gap)
-        everything = (found.detector, names, found.fps, size, first, len(frames), (*notes, *more))
+        everything = (found.detector, names, found.fps, size, min(found.frames), len(frames), (*notes, *more))
         return Footage(at.path, *everything, tuple(sorted(tracks, key=_longest)))
 
 
@@ -258,12 +257,11 @@ def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | Non
         notes.append(f"scores from {low:.3g} to {high:.3g} are logits: taken through the logistic function")
     elif high == 2 and np.isin(score, (0, 1, 2)).all():
         notes.append("0, 1 and 2 are flags, not confidences: every labelled point counts 1")
-    elif high > _OVER:
-        scale = np.percentile(score[score > 0], 99)
-        score /= scale
-        notes.append(f"scores go up to {high:.3g}: divided by {scale:.3g}, which 99 % of them do not pass")
     elif high > 1:
-        notes.append(f"scores go up to {high:.3g}: those above 1 count 1")
+        scale = np.percentile(score[score > 0], 99) if high > _OVER else 1.0
+        score /= scale
+        said = f"divided by {scale:.3g}, which 99 % of them do not pass" if high > _OVER else "those above 1 count 1"
+        notes.append(f"scores go up to {high:.3g}: {said}")
     np.clip(score, 0, 1, out=score)
     unsure = (score > 0) & (score < lowest)
     if unsure.any():
@@ -286,18 +284,20 @@ def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple
     """Tracks of frames of people (P, K, 3), and what is to be said of the file's ids (P)."""
     shown = [np.flatnonzero((people[..., 2] > 0).any(-1)).tolist() for people in frames]
     notes: list[str] = []
-    named = tracking.by_id((n, k, ids[n][k]) for n, keys in enumerate(shown) for k in keys)
-    if named is None and any(name is not None for here in ids for name in here):
-        notes = ["the file's ids do not tell people apart: people are followed by where they are"]
-    if named is not None:
+    named: dict[int, list[tuple[int, int]]] = {}
+    for n, keys in enumerate(shown):
+        for k in keys:
+            named.setdefault(ids[n][k], []).append((n, k))
+    if None not in named and all(len(dict(people)) == len(people) for people in named.values()):
         for name, same in tracking.continued(named, frames, gap=gap).items():
             if len(same) > 1:
                 notes.append(f"ids {_some(same)} are taken for one person, {name}: each begins where another ends")
                 named[name] = [pair for one in same for pair in named.pop(one)]
-    elif max(map(len, shown)) == 1:
-        named = {0: [(n, k) for n, keys in enumerate(shown) for k in keys]}
     else:
-        named = dict(enumerate(tracking.join(frames, gap=gap)))
+        if any(name is not None for here in ids for name in here):
+            notes = ["the file's ids do not tell people apart: people are followed by where they are"]
+        alone = [(n, k) for n, keys in enumerate(shown) for k in keys]
+        named = dict(enumerate([alone] if max(map(len, shown)) == 1 else tracking.join(frames, gap=gap)))
     for name, others in tracking.twins(named, frames).items():
         notes.append(f"people {_some([name, *others])} lie on each other: taken for one, {name}")
         for other in others:

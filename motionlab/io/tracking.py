@@ -1,6 +1,6 @@
 """People through time: who of one frame is who of the next, by where their keypoints lie."""
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,18 +42,6 @@ def join(frames: list[np.ndarray], *, gap: int) -> list[list[tuple[int, int]]]:
         for k in sorted(sorted(seen, key=lambda k: -_extent(people[k]))[:_MOST]):
             sightings[frame, k] = [(frame, k)]
     return [*continued(sightings, frames, gap=gap).values()]
-
-
-def by_id(sightings: Iterable[tuple[int, int, int | None]]) -> dict[int, list[tuple[int, int]]] | None:
-    """Finds everybody's (frame, index) pairs by the ids that a file gives: of (frame, index, id), frame by frame.
-
-    None where they tell nobody apart: someone has none, or two people of one frame share one.
-    """
-    tracks: dict[int, list[tuple[int, int]]] = {}
-    for frame, index, name in sightings:
-        tracks.setdefault(name, []).append((frame, index))
-    shared = any(len(dict(people)) < len(people) for people in tracks.values())
-    return None if shared or None in tracks else tracks
 
 
 def continued(
