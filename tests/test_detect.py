@@ -6,7 +6,6 @@
 import importlib
 import os
 import sys
-import urllib.error
 from unittest.mock import Mock
 
 import imageio.v2 as imageio
@@ -76,19 +75,6 @@ def brightest(path) -> None:
     path.write_bytes(model.SerializeToString())
 
 
-def test_a_network_finds_what_moves(tmp_path, video):
-    rtmlib = extra("rtmlib")
-    brightest(tmp_path / "small.onnx")
-    network = rtmlib.RTMPose(str(tmp_path / "small.onnx"), (WIDE, HIGH), backend="onnxruntime")
-    detect.find(video, tmp_path / "keypoints.npz", finder=network)
-    found = keypoints.load(tmp_path / "keypoints.npz")
-    assert (found.fps, found.size, found.frames) == (25.0, (WIDE, HIGH), FRAMES)
-    track = found.tracks[0]
-    assert track.frames.tolist() == [0, 1, 3, 4]  # the empty picture is no person
-    for frame, points in zip(track.frames, track.points, strict=True):
-        assert np.abs(points[:, :2] - corner(frame)).max() < 3  # the square's upper left corner, to two cells
-
-
 def people(path, size: int = 640) -> None:
     """A network of YOLOX's form: where ``Two`` has people, each sure where its half of the picture has white in it."""
     onnx = extra("onnx")
@@ -150,16 +136,6 @@ def test_the_detector_that_is_installed_finds_two_people_by_networks_made_here(t
     for k, left in enumerate(LEFTS):
         seen = table[[0, 3, 4], k, :, :2]
         assert np.abs(seen - (left, TOP)).max() < 2, left
-
-
-def test_without_a_network_the_detector_says_that_its_weights_are_missing(tmp_path, video, monkeypatch):
-    files = importlib.import_module(f"{extra('rtmlib').__name__}.tools.file")
-
-    monkeypatch.setattr(files, "urlopen", Mock(side_effect=urllib.error.URLError("no route to host")))
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "empty"))
-    with pytest.raises(MissingData, match=r"weights.*no route to host.*--keypoints"):
-        detect.find(video, tmp_path / "keypoints.npz")
-    assert not (tmp_path / "keypoints.npz").exists()
 
 
 def test_people_of_every_frame_are_kept_in_pixels(tmp_path, video):

@@ -86,16 +86,6 @@ def test_a_film_that_cannot_be_drawn_is_a_note(tmp_path, monkeypatch):
     assert "<video" not in page and "Dots are detections" not in page and "There is no film" in page
 
 
-def test_the_background_is_compared_before_the_fit(tmp_path, monkeypatch):
-    """Ctrl-C in it costs no fit."""
-    imageio.mimwrite(tmp_path / "clip.mp4", [np.zeros((72, 128, 3), np.uint8)] * SHORT, fps=30)
-
-    monkeypatch.setattr(fit.Clip, "drift", Mock(side_effect=KeyboardInterrupt))
-    monkeypatch.setattr(fit, "fit_people", no_fit)
-    with pytest.raises(KeyboardInterrupt):
-        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", video=tmp_path / "clip.mp4", quick=True)
-
-
 # ----------------------------------------------------------------------------------------------- what was asked
 def test_a_folder_is_finished_only_for_the_options_it_was_made_with(tmp_path, monkeypatch):
     file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
@@ -165,20 +155,18 @@ def test_files_that_no_fit_wrote_are_not_overwritten(tmp_path, monkeypatch, name
     assert (out / "mine.html").exists()
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_fit(tmp_path, monkeypatch):
+def test_what_cannot_be_written_is_said_in_a_sentence(tmp_path, monkeypatch):
+    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
+    monkeypatch.setattr(fit.gltf, "save", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
+    with pytest.raises(DataError, match="cannot be written: No space left on device"):
+        fit.run_clip(file, out, quick=True)
+    assert not list(out.glob("*.*"))
     monkeypatch.setattr(fit, "fit_people", no_fit)
     refused = Mock(side_effect=OSError(errno.EROFS, "Read-only file system"))
     monkeypatch.setattr(files.tempfile, "TemporaryFile", refused)
     with pytest.raises(DataError, match="cannot be written: Read-only file system") as caught:
-        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
+        fit.run_clip(file, out, quick=True)
     assert "--out" in caught.value.remedy
-
-
-def test_a_disk_that_is_full_is_said_in_a_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr(fit.gltf, "save", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
-    with pytest.raises(DataError, match="cannot be written: No space left on device"):
-        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
-    assert not list((tmp_path / "out").glob("*.*"))
 
 
 def test_a_cut_is_said(tmp_path, monkeypatch):

@@ -265,30 +265,17 @@ def test_windows_of_one_motion_are_joined_to_it(walk):
     assert (low[:3] - own.positions[:3, :, 2].amin(-1)).abs().max() < 1e-4
 
 
-def only(points: list[int], frames: torch.Tensor) -> torch.Tensor:
-    """Detections of some points alone."""
-    frames[..., [k for k in range(25) if k not in points], 2] = 0
-    return frames
-
-
-BAD = {
-    "empty folder": (lambda folder, frames: folder.mkdir(), "frame"),
-    "no folder": (lambda folder, frames: None, "no such file"),
-    "nobody": (lambda folder, frames: write_json(folder, only([], frames)), "nobody was detected"),
-    "nothing that is used": (lambda folder, frames: write_json(folder, only([1, 9, 12], frames)), "shows 4 keypoints"),
-    "one frame": (lambda folder, frames: write_json(folder, frames[:1]), "one frame"),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_keypoints_that_cannot_be_used(tmp_path, walk, capsys, name):
-    make, message = BAD[name]
-    make(tmp_path / "keypoints", table(walk))
-    words = ("--layout", "BODY_25", "--fps", 30, "--out", tmp_path / "out", "--quick")
-    assert run("--keypoints", tmp_path / "keypoints", *words) == 2
-    said = capsys.readouterr().err
-    assert message in said and "remedy" in said
-    assert not (tmp_path / "out" / "fit.json").exists()
+def test_keypoints_that_cannot_be_used(tmp_path, walk, capsys):
+    frames = table(walk)
+    short = write_json(tmp_path / "short", frames[:1])
+    frames[..., scene_fit.USED, 2] = 0
+    unused = write_json(tmp_path / "unused", frames)
+    for folder, message in ((short, "one frame"), (unused, "shows 4 keypoints")):
+        words = ("--keypoints", folder, "--layout", "BODY_25", "--fps", 30, "--out", tmp_path / "out", "--quick")
+        assert run(*words) == 2
+        said = capsys.readouterr().err
+        assert message in said and "remedy" in said
+        assert not (tmp_path / "out" / "fit.json").exists()
 
 
 def test_options_that_cannot_be_used(tmp_path, keypoints, capsys):

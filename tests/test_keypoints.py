@@ -79,6 +79,7 @@ def test_layouts_name_the_points_as_their_authors_do():
     openpose = """Nose LEye REye LEar REar LShoulder RShoulder LElbow RElbow LWrist RWrist LHip RHip LKnee RKnee LAnkle
         RAnkle UpperNeck HeadTop LBigToe LSmallToe LHeel RBigToe RSmallToe RHeel""".split()
     assert BODY_25B == tuple(map(standard_name, openpose)) == LAYOUTS["BODY_135"][:25]
+    assert LAYOUTS["COCO_18"][8] == "right_hip" and LAYOUTS["COCO_18"][14:] == BODY_25[15:19]
     assert standard_name("leftShoulder") == standard_name("l_shoulder") == "left_shoulder"
     whole = [LAYOUTS["WHOLEBODY_133"][k] for k in (17, 22, 23, 90, 91, 112)]
     assert whole == ["left_big_toe", "right_heel", "face_0", "face_67", "left_hand_0", "right_hand_0"]
@@ -225,6 +226,8 @@ def test_numbers_of_frames_and_images_are_bounded(tmp_path):
         ("[]", ("nobody",)),
         ('[{"frame_id": -1, "instances": []}]', ("frame 0", "no frame's")),
         ('[{"frame_id": 1, "instances": []}, {"frame_id": 1, "instances": []}]', ("there twice",)),
+        ('[{"image_id": 1, "keypoints": []}, {"image_id": 1}]', ("frame 1, person 1", '"keypoints" of every person')),
+        ('[{"frame_id": 1, "instances": [{"bbox": []}]}]', ("frame 1, person 0", '"keypoints" of every person')),
         ('[{"image_id": 1, "keypoints": [1, 2]}]', ("frame 1, person 0", "x, y, confidence")),
         ("frame,person,keypoint,x,y\n0,0,0,1\n", ("line 2", "5 cells")),
         ("frame,person,keypoint,x,y\n0.5,0,0,1,1\n", ("line 2", "no frame number")),
@@ -349,19 +352,6 @@ def test_points_that_were_put_onto_the_border_are_not_seen(tmp_path):
     np.savez(tmp_path / "a.npz", keypoints=inside, names=detected.COCO, fps=30)
     with pytest.raises(DataError, match="nothing is left"):
         keypoints.load(tmp_path / "a.npz").within((1280, 720))
-
-
-@pytest.mark.parametrize("format", ["mmpose", "coco"])
-def test_a_person_whose_points_are_missing_is_refused_not_lost(tmp_path, format):
-    content = detected.mmpose(17, detected.COCO) if format == "mmpose" else detected.results(17)
-    person = content["instance_info"][1]["instances"][0] if format == "mmpose" else content[1]
-    path = tmp_path / "seen.json"
-    path.write_text(json.dumps(content))
-    assert keypoints.load(path, fps=30, size=detected.SIZE).tracks
-    del person["keypoints"]
-    path.write_text(json.dumps(content))
-    with pytest.raises(DataError, match="keypoints"):
-        keypoints.load(path, fps=30, size=detected.SIZE)
 
 
 def test_annotations_of_coco_are_read_with_names_and_size_of_their_own(tmp_path):

@@ -57,14 +57,6 @@ def test_who_gathers_speed_is_followed():
     assert followed(tracks, truth) == [[0], [1]] and [len(track) for track in tracks] == [12, 12]
 
 
-def test_control_without_distances_people_who_pass_are_taken_for_each_other(monkeypatch):
-    paths = [[person(300 + 4 * n) for n in range(20)], [person(340 - 4 * n, 302) for n in range(20)]]
-    frames, truth = listed(*paths, seed=2)
-    assert followed(tracking.join(frames, gap=5), truth) == [[0], [1]]
-    monkeypatch.setattr(tracking, "_distances", lambda tracks, people, frame: np.zeros((len(tracks), len(people))))
-    assert max(len(row) for row in followed(tracking.join(frames, gap=5), truth)) > 5
-
-
 def test_of_a_crowd_a_bounded_number_is_compared(monkeypatch):
     """Three hundred strangers in every frame, remembered for ever: time goes with the number of frames."""
     sizes, compare, draw = [], tracking._distances, np.random.default_rng(0)

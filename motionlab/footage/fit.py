@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -45,11 +46,18 @@ def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> boo
 
     how: arguments of ``run_clip`` by name; then only a folder made with the same, and after the files that it is of.
     """
-    old, given = _earlier(Path(out)), how or {}
-    asked, files = old.get("asked", {}), [Path(given[name]) for name in _READ if given.get(name) is not None]
+    old = _earlier(Path(out))
+    if how is None or old.get("finished") is not True:
+        return old.get("finished") is True
+    files = [Path(how[name]) for name in _READ if how.get(name) is not None]
     times = [each.stat().st_mtime for path in files for each in (path, *path.glob("*")) if each.exists()]
-    same = all(str(value) == asked[name] for name, value in given.items() if name in asked)
-    return old.get("finished") is True and same and max(times, default=0.0) <= (Path(out) / RESULT).stat().st_mtime
+    return old["asked"] == _asked(how) and max(times, default=0.0) <= (Path(out) / RESULT).stat().st_mtime
+
+
+def _asked(given: Mapping[str, object]) -> dict[str, str]:
+    """What decides about a fit, of the arguments of ``run_clip``, those that are not given by their defaults."""
+    known = signature(run_clip).parameters.items()
+    return {name: str(given.get(name, one.default)) for name, one in known if name not in ("out", "progress")}
 
 
 def _earlier(out: Path) -> dict[str, object]:
@@ -57,7 +65,7 @@ def _earlier(out: Path) -> dict[str, object]:
     try:
         old = json.loads((out / RESULT).read_text(encoding="utf-8"))
         files = [RESULT, *(Path(str(name)).name for name in old["files"])]
-        return old | {"files": files} if "finished" in old else {}
+        return old | {"files": files} if {"finished", "asked"} <= old.keys() else {}
     except (OSError, ValueError, KeyError, TypeError):
         return {}
 
@@ -98,7 +106,7 @@ def run_clip(
             found before the fit. MissingData: no keypoints, and no detector.
         KeyboardInterrupt: stopped, and not finished.
     """
-    asked = {name: str(value) for name, value in locals().items() if name not in ("out", "progress")}
+    asked = _asked(locals())
     if draws and (quick or solver != "shooting" or not 1 <= draws <= DRAWS):
         what = "a quick fit" if quick else f"the solver {solver}" if solver != "shooting" else f"{draws} draws"
         raise DataError(f"no draws for {what}", place="draws", remedy=f"ask for 1 to {DRAWS} of a usual fit")
