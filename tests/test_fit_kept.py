@@ -101,8 +101,8 @@ def test_a_folder_is_finished_only_for_the_options_it_was_made_with(tmp_path, mo
 
 def test_a_folder_is_not_finished_once_the_keypoints_are_newer(tmp_path):
     folder, out = write_json(tmp_path / "seen", table(walk(SHORT))), tmp_path / "out"
-    fit.run_clip(folder, out, quick=True, fps=30)
-    made = {"keypoints": folder, "fps": 30}
+    made = {"keypoints": folder, "fps": 30, "quick": True}
+    fit.run_clip(out=out, **made)
     assert fit.is_finished(out, made) and not fit.is_finished(tmp_path / "none", made)
     later = (out / fit.RESULT).stat().st_mtime + 10
     os.utime(max(folder.iterdir()), (later, later))

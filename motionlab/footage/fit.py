@@ -120,7 +120,7 @@ def run_clip(
     pelvis, windows = None if pelvis is None else tuple(pelvis), out / "windows"
     priors = pretrained.load_priors(motion=prior, pose=pose_prior, initial=initial, pelvis=pelvis)
     begins("is the camera still?", progress)
-    drift = None if clip.video is None else clip.drift()  # before the fit, which it must not lose
+    drift = np.zeros(0) if clip.video is None else clip.drift()  # before the fit, which it must not lose
     how = {"solver": solver, "quick": quick, "keep": windows, "progress": progress, "height": height, "draws": draws}
     fitted = fit_people(seen, SceneFitConfig(priors, clip.camera, clip.placed, clip.size, **how))
     record = _record(clip, ids, fitted, drift, height)
@@ -172,10 +172,10 @@ def _write(
         standard = retarget(replace(motion, contacts=None), proportions="standard", leg=_LEG)
         smpl.save_motion(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
         row["files"] = {"bvh": f"{stem}.bvh", "amass": f"{stem}.npz"}
-        betas = "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand"
         says = (f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet stand on "
-                "z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0")  # fmt: skip
-        row["amass"] = {"betas": betas, "scale": standard.scale, "raised_m": standard.floor, "says": says}
+                "z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0. betas are zero: no "
+                "function of bone lengths alone")  # fmt: skip
+        row["amass"] = {"scale": standard.scale, "raised_m": standard.floor, "says": says}
         files += row["files"].values()
     names = [f"person {each}" for each in ids]
     gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)
@@ -211,16 +211,14 @@ def _film(
     film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
-def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, height: float | None) -> dict:
+def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray, height: float | None) -> dict:
     """What there is to say, as plain numbers; see ``scene_report.page``."""
     camera, read = fitted.camera, clip.footage
     pixels = torch.stack([project(camera, landmarks_of(motion))[0] for motion in fitted.motions])
     away, weight = pixel_distances(pixels, fitted.seen)
     people = [scene_report.person_row(k, each, fitted, away[k], weight[k]) for k, each in enumerate(ids)]
-    drift = np.zeros(0) if drift is None else drift
     worst = max((float(off) for off in drift[1:] if np.isfinite(off)), default=None)
     cuts = [clip.samples[k] / clip.rate for k in np.flatnonzero(np.isinf(drift))]
-    left_out = [track.id for track in read.tracks if track.id not in ids]
     given = clip.camera is not None
     if clip.placed and height is None:
         for row, share in zip(people, seen_size(fitted.seen, clip.camera), strict=True):
@@ -239,7 +237,7 @@ def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray 
                    "distortion": list(clip.camera.distortion) if given else []},
         "moving_camera": {"assumed": "the camera does not move", "background_drift": worst,
                           "moved": True if cuts else None if worst is None else worst > video.MOVED, "cuts_s": cuts},
-        "people": people, "left_out": left_out, "frames": fitted.seen.frames, "fps": fitted.seen.fps,
+        "people": people, "frames": fitted.seen.frames, "fps": fitted.seen.fps,
         "windows": fitted.windows,
         "notes": [*clip.notes, *fitted.notes],
     }  # fmt: skip
@@ -265,8 +263,6 @@ def pixel_distances(pixels: Tensor, observation: Observation2D) -> tuple[Tensor,
     The observation is of BODY_25; what was not detected, neck and hips weigh nothing.
     """
     keypoints, weight = observation.keypoints, observation.confidence.clone()
-    if keypoints.ndim == 3:
-        keypoints, weight = keypoints[None], weight[None]
     weight[..., list(UNUSED_BODY_25)] = 0.0
     seen = (weight > 0) & keypoints.isfinite().all(-1)
     away = (pixels - torch.where(seen[..., None], keypoints, 0.0)).norm(dim=-1)

@@ -163,10 +163,9 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
     latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
     shown = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)[:, 0] > 0
     if not config.placed:
-        motions, camera, lift = _on_the_floor(motions, shown, camera)
-        up = torch.tensor([0.0, 0.0, lift])
+        motions, camera, up = _on_the_floor(motions, shown, camera)
         draws = [each.changed(lambda m: replace(m, root=m.root + up)) for each in draws]
-        notes += [f"the floor was moved by {100 * lift:+.1f} cm so that the feet stand on z = 0"]
+        notes += [f"the floor was moved by {100 * up[2]:+.1f} cm so that the feet stand on z = 0"]
     if config.draws and not draws:
         why = f"more than {MAX_FRAMES / 30:g} s is fitted in pieces" if many else "the fit was stopped"
         notes += [f"no other motions are drawn: {why}"]
@@ -266,8 +265,8 @@ def _joined(parts: Sequence[dict[str, Tensor]], frames: int, fps: float) -> Moti
     return replace(motion, contacts=(contacts > 0.5).float())
 
 
-def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> tuple[list[Motion], Camera, float]:
-    """Raises the whole scene, its camera too, so that the balls of the feet are at sole height.
+def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> tuple[list[Motion], Camera, Tensor]:
+    """Raises the whole scene, its camera too, so that the balls of the feet are at sole height; says (3,) by how much.
 
     Of each person those that the prior says are in contact, in the median; without any, the height that the lower one
     is below in 2 % of the frames. Of several people the median.
@@ -277,10 +276,9 @@ def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> t
         height = motion.positions[on][:, feet, 2]
         rests = motion.contacts[on][:, [motion.skeleton.contact_names.index(name) for name in BALLS]] > 0
         low.append(height[rests].median() if rests.any() else height.amin(-1).quantile(0.02))
-    lift = float(STANDARD.sole - torch.stack(low).median())
-    up = torch.tensor([0.0, 0.0, lift])
+    up = torch.tensor([0.0, 0.0, STANDARD.sole - torch.stack(low).median()])
     moved = [replace(motion, root=motion.root + up) for motion in motions]
-    return moved, replace(camera, translation=camera.translation - camera.rotation @ up), lift
+    return moved, replace(camera, translation=camera.translation - camera.rotation @ up), up
 
 
 def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
