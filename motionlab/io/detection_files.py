@@ -3,7 +3,7 @@ npz of our own."""
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import partial
 
 import numpy as np
@@ -313,7 +313,7 @@ def _landmarks(at: Location, document: object) -> Detections:
     seen = []
     for number, frame in zip(range(len(frames)) if None in given else given, frames, strict=True):
         at.place = f"frame {number}"
-        seen.append((number, [(_by_name(at, body), name) for body, name in _bodies(at, frame)]))
+        seen.append((number, [*_bodies(at, frame)]))
     found = detections.collect_named(at, "named points", seen, **stated(at, document, *frames[:1]))
     found.detector = "MoveNet" if found.names == detections.COCO_17 else found.detector
     return found
@@ -327,21 +327,21 @@ def _is_body(value: object) -> bool:
     return isinstance(one, list) and len(one) in (2, 3, 4) and all(isinstance(x, int | float) for x in one)
 
 
-def _bodies(at: Location, value: object) -> list[tuple[dict | list, int | None]]:
+def _bodies(at: Location, value: object, name: int | None = None) -> Iterator[tuple[dict[str, tuple], int | None]]:
     """Everybody's points in what stands for a frame or for people, with their ids."""
-    if isinstance(value, dict):
-        inner = first_of(value, _IMAGE)
-        if inner is not None:
-            mine = whole_number(first_of(value, detections.ID))
-            return [(body, mine if name is None else name) for body, name in _bodies(at, inner)]
-        if first_of(value, _WORLD) is not None:
-            raise at.error("world landmarks alone: 3-D, in metres", remedy="save the image landmarks (pose_landmarks)")
-        return [(value, None)] if value else []
-    if _is_body(value):
-        return [(value, None)]
-    if not isinstance(value, list | None):
+    table = isinstance(value, dict)
+    if table and (inner := first_of(value, _IMAGE)) is not None:
+        mine = whole_number(first_of(value, detections.ID))
+        yield from _bodies(at, inner, name if mine is None else mine)
+    elif table and first_of(value, _WORLD) is not None:
+        raise at.error("world landmarks alone: 3-D, in metres", remedy="save the image landmarks (pose_landmarks)")
+    elif value and (table or _is_body(value)):
+        yield _by_name(at, value), name
+    elif isinstance(value, list | dict | None):
+        for one in value or []:
+            yield from _bodies(at, one, name)
+    else:
         raise detections.unknown(at)
-    return [body for one in value or [] for body in _bodies(at, one)]
 
 
 def _by_name(at: Location, body: dict | list) -> dict[str, tuple]:

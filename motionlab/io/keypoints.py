@@ -24,7 +24,7 @@ import torch
 from motionlab.errors import DataError
 from motionlab.io import tracking, video
 from motionlab.io.detection_files import from_json, from_lines, from_npz, from_trc
-from motionlab.io.detections import MOST_FRAMES, PLAIN, Detections, Sighting, from_folder, names_of
+from motionlab.io.detections import MOST_FRAMES, PLAIN, Detections, from_folder, names_of
 from motionlab.io.reading import LARGEST, Location, frame_rate, image_size, read_json, read_text, reading
 from motionlab.io.video import Video
 from motionlab.observation import Observation2D
@@ -186,10 +186,23 @@ def load(
         found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
         if not any(found.frames.values()):
             raise at.error("nobody was detected in any frame", place="")
-        found, frames = _in_order(at, found, fps, film)
+        fps, given = found.fps if fps is None else frame_rate(at, fps, "fps"), sorted(found.frames)
+        known = None if film is None else film.numbers or film.frames
+        order, told, more = video.frames_of(given, fps=fps, film=known, loose=found.loose)
+        rate = fps or told or (film and film.fps)
+        if rate is None:
+            raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
+        if order[-1] - order[0] >= MOST_FRAMES:
+            message = f"frame numbers run from {order[0]} to {order[-1]}"
+            raise at.error(message, place="", remedy="remove the stray file")
+        people = {n: found.frames[k] for n, k in zip(order, given, strict=True)}
+        count, *others = [(len(points), n) for n in order for points, _ in people[n]]
+        if other := next((each for each in others if each[0] != count[0]), None):
+            raise at.error(f"expected {count[0]} keypoints, got {other[0]}", place=f"frame {other[1]}")
+        frames = [people.get(n, []) for n in range(order[0], order[-1] + 1)]
         size = image_size(at, size) if size is not None else found.size or (film and film.size)
         everybody = np.stack([points for people in frames for points, _ in people]).astype(np.float32)
-        notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
+        notes = [*found.notes, *more, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
         if not (everybody[..., 2] > 0).any():
             raise at.error("nobody was detected in any frame: no point is sure enough", place="")
         names = found.names if layout is None and found.names else names_of(at, everybody, layout)
@@ -197,10 +210,10 @@ def load(
             raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
         ids = [[name for _, name in people] for people in frames]
         frames = np.split(everybody, np.cumsum([len(people) for people in frames])[:-1])
-        steps = np.diff(sorted(found.frames))
-        gap = round(max(1, _GAP * found.fps, np.median(steps) if len(steps) else 1))
+        steps = np.diff(order)
+        gap = round(max(1, _GAP * rate, np.median(steps) if len(steps) else 1))
         tracks, more = _told_apart(frames, ids, gap=gap)
-        everything = (found.detector, names, found.fps, size, min(found.frames), len(frames), (*notes, *more))
+        everything = (found.detector, names, rate, size, order[0], len(frames), (*notes, *more))
         return Footage(at.path, *everything, tuple(sorted(tracks, key=_longest)))
 
 
@@ -216,32 +229,6 @@ def _read_file(at: Location) -> Detections:
         return from_json(at, read_json(at, nan=True))
     text = read_text(at)
     return from_trc(at, text) if text.startswith("PathFileType") else from_lines(at, text)
-
-
-def _in_order(
-    at: Location, found: Detections, fps: float | None, film: Video | None
-) -> tuple[Detections, list[list[Sighting]]]:
-    """The same by frame, with its rate, and its people in a list from the first frame to the last.
-
-    Numbers that are times or those of any pictures become frames, and a note says so; a number without a frame shows
-    nobody.
-    """
-    fps = found.fps if fps is None else frame_rate(at, fps, "fps")
-    given = sorted(found.frames)
-    known = None if film is None else film.numbers or film.frames
-    order, told, notes = video.frames_of(given, fps=fps, film=known, loose=found.loose)
-    frames = {n: found.frames[k] for n, k in zip(order, given, strict=True)}
-    first, last = order[0], order[-1]
-    if last - first >= MOST_FRAMES:
-        raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
-    count, *others = [(len(points), n) for n in order for points, _ in frames[n]]
-    if other := next((each for each in others if each[0] != count[0]), None):
-        raise at.error(f"expected {count[0]} keypoints, got {other[0]}", place=f"frame {other[1]}")
-    rate = fps or told or (film and film.fps)
-    if rate is None:
-        raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
-    found = replace(found, frames=frames, fps=rate, notes=[*found.notes, *notes])
-    return found, [frames.get(n, []) for n in range(first, last + 1)]
 
 
 def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
