@@ -85,16 +85,13 @@ def load_camera(
     """
     with reading(path, _REMEDY) as at:
         found = _tables(at)
-        if name is None and len(found) > 1 and views is not None and (number := re.search(r"\d+", Path(views).name)):
-            last = {key: re.findall(r"\d+", key)[-1:] for key in found}
-            names = [key for key, digits in last.items() if [*map(int, digits)] == [int(number[0])]]
-            name = names[0] if len(names) == 1 else None
-        if name is None and len(found) == 1:
-            (name,) = found
-        if name not in found:
+        number = re.search(r"\d+", Path(views or "").name)
+        told = [key for key in found if number and [*map(int, re.findall(r"\d+", key)[-1:])] == [int(number[0])]]
+        names = [name] if name is not None else told if len(found) > 1 else [*found]
+        if len(names) != 1 or names[0] not in found:
             what = "which of its cameras" if name is None else f"no camera {name!r}; there are"
             raise at.error(f"{what}: {', '.join(found)}", remedy="name it (--camera-name)")
-        return _camera(at, name, found[name], size)
+        return _camera(at, names[0], found[names[0]], size)
 
 
 def load_cameras(path: str | Path) -> dict[str, Camera]:
@@ -229,8 +226,8 @@ def _known(table: object) -> Table:
     if not isinstance(table, dict):
         return {}
     lower = {str(key).lower(): _matrix(value) for key, value in table.items()}
-    found = {word: next((lower[name] for name in names if name in lower), None) for word, names in WORDS.items()}
-    found = {word: value for word, value in found.items() if value is not None}
+    known = ((word, lower.get(name)) for word, names in WORDS.items() for name in reversed(names))  # the first counts
+    found = {word: value for word, value in known if value is not None}
     if isinstance(pair := found.pop("size", None), list) and len(pair) == 2:
         found = {"width": pair[0], "height": pair[1]} | found
     tells = (f"{key} {value}".lower() for key, value in lower.items() if _TELLS.search(key))
@@ -278,12 +275,8 @@ def _xml(at: Location) -> ElementTree.Element:
 
 
 def _opencv_xml(at: Location) -> dict[str, Table]:
-    found = {}
-    for node in _xml(at):
-        parts = {part.tag: (part.text or "").split() for part in node}
-        if not parts or {"rows", "cols", "data"} <= parts.keys():
-            found[node.tag] = parts or _value((node.text or "").strip())
-    return _named(found)
+    nodes = ((node, {part.tag: (part.text or "").split() for part in node}) for node in _xml(at))
+    return _named({node.tag: parts or _value((node.text or "").strip()) for node, parts in nodes})
 
 
 def _yaml(text: str) -> dict[str, object]:
@@ -366,9 +359,8 @@ def _captury(at: Location) -> dict[str, Table]:
     """
     found, upright = {}, axes_to_matrix("x-zy").numpy()
     for index, block in enumerate(re.split(r"^camera\b", read_text(at), flags=re.MULTILINE)[1:]):
-        said, values = {}, []
-        for word, *words in filter(None, (line.partition("#")[0].split() for line in block.splitlines())):
-            said.setdefault(word, words)
+        rows, values = (line.partition("#")[0].split() for line in reversed(block.splitlines())), []
+        said = {row[0]: row[1:] for row in rows if row}  # the first counts
         for key, count in _CAPTURY.items():
             at.place = f"camera {index}, {key}"
             values.append(checked_array(at, [float(word) for word in said.get(key, ())], str(count)))
