@@ -81,19 +81,17 @@ def twins(tracks: dict[int, list[tuple[int, int]]], frames: list[np.ndarray]) ->
     longest are compared.
     """
     longest = sorted(tracks, key=lambda name: -len(tracks[name]))[:_MOST]
-    places = {name: dict(tracks[name]) for name in longest}
     found: dict[int, list[int]] = {}
     for name in longest:
-        for other in found:
-            both = sorted(places[name].keys() & places[other].keys())
-            if both:
-                a, b = (np.stack([frames[n][places[one][n]][:_BODY] for n in both]) for one in (name, other))
-                if (_between(a, b) <= _TWIN).mean() >= 0.8:
-                    found[other].append(name)
-                    break
-        else:
-            found[name] = []
+        twin = next((other for other in found if _is_twin(tracks[name], tracks[other], frames)), name)
+        found.setdefault(twin, []).extend([name] * (twin != name))
     return {name: others for name, others in found.items() if others}
+
+
+def _is_twin(one: list[tuple[int, int]], other: list[tuple[int, int]], frames: list[np.ndarray]) -> bool:
+    both = dict(one).keys() & dict(other).keys()
+    pair = (np.stack([frames[n][index][:_BODY] for n, index in people if n in both]) for people in (one, other))
+    return bool(both) and (_between(*pair) <= _TWIN).mean() >= 0.8
 
 
 def _assigned(tracks: list[_Track], people: dict[Hashable, np.ndarray], frame: int) -> dict[Hashable, _Track]:
