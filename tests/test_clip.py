@@ -9,7 +9,6 @@ import imageio.v2 as imageio
 import imageio_ffmpeg
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from motionlab.errors import DataError
@@ -17,7 +16,6 @@ from motionlab.footage import clip
 from motionlab.footage.clip import Clip
 from motionlab.io import cameras, video
 from motionlab.io.cameras import distorted
-from motionlab.observation import at_rate
 
 WIDE, HIGH, FRAMES = 64, 48, 61
 
@@ -151,12 +149,6 @@ def test_keypoints_of_a_copy_at_an_even_rate_are_put_by_time(tmp_path, uneven):
     count = round(STAMPS[-1] / 1000 * 25)
     found = clip.open_clip(keypoints(tmp_path / "k", range(count)), uneven, fps=25)
     assert found.times is None and np.allclose(np.diff(x_of(found)), 25 / 30, atol=1e-2)
-
-
-def test_times_that_are_even_change_nothing(generator):
-    seen = clip.Observation2D(torch.rand(9, 2, 2, generator=generator), torch.ones(9, 2), ("a", "b"), 25.0)
-    one, other = at_rate(seen), at_rate(seen, times=np.arange(9) / 25)
-    assert one.frames == other.frames and np.allclose(one.keypoints, other.keypoints, atol=1e-5)
 
 
 # -------------------------------------------------------------------------------------------------- the image's size
