@@ -42,8 +42,7 @@ def _list_people(options: argparse.Namespace) -> int:
 
 def _fit_one(options: argparse.Namespace) -> int:
     record = fit.run_clip(**_given(options), progress=is_watched() or "lines")
-    for line in scene_report.lines(record):
-        print(line)
+    print(*scene_report.lines(record), sep="\n")
     print(f"{options.out}: {', '.join([*record['files'], fit.RESULT])}")
     return 0
 
