@@ -195,7 +195,8 @@ def _said(read: Footage, shown: Video, first: int, times: np.ndarray | None, *, 
     if first:
         notes.append(f"the keypoints begin at frame {first} of the footage")
     every = round(shown.frames / read.frames)
-    if guessed and read.fps == shown.fps and first == 0 and every > 1:
+    rest = shown.frames - (read.frames - 1) * every
+    if guessed and read.fps == shown.fps and first == 0 and every > 1 and 0 <= rest <= every:
         taken = f"the keypoints are taken for the first {read.frames} of {shown.frames} frames"
         notes.append(f"{taken}: if they are of one in {every}, say --fps {rate / every:g}")
     return notes
