@@ -278,10 +278,9 @@ def _mmpose(at: Location, document: dict | list) -> Detections:
 
 def _of_images(at: Location, images: dict[object, Iterable], *, alphapose: bool) -> Detections:
     """AlphaPose and COCO results: people by image, whose order is the number at the end of its name, or the file's."""
-    order = {}
-    for image in images:
-        tail = re.search(r"(\d{1,19})(?:_keypoints)?(?:\.\w{1,5})?$", image) if isinstance(image, str) else None
-        order[image] = int(tail[1]) if tail else whole_number(image)
+    number = re.compile(r"(\d{1,19})(?:_keypoints)?(?:\.\w{1,5})?$")
+    tails = {image: number.search(image) if isinstance(image, str) else None for image in images}
+    order = {image: int(tail[1]) if tail else whole_number(image) for image, tail in tails.items()}
     more: dict[str, object] = {"loose": True}
     if None in order.values():
         order = {image: n for n, image in enumerate(images)}

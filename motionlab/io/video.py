@@ -48,10 +48,9 @@ class Video:
     @property
     def numbers(self) -> tuple[int, ...]:
         """What the images are numbered by, where that does not begin at 0 or 1 and leave none out; else nothing."""
-        found = tuple(_numbered(path)[0][-1:] for path in self.images)
-        flat = tuple(number for one in found for number in one)
+        flat = [number for path in self.images for number in _numbered(path)[0][-1:]]
         plain = not flat or (flat[0] <= 1 and flat[-1] - flat[0] == len(flat) - 1)
-        return () if plain or len(flat) < len(found) or [*flat] != sorted({*flat}) else flat
+        return () if plain or len(flat) < len(self.images) or flat != sorted({*flat}) else tuple(flat)
 
     def pictures(self, wanted: Sequence[int]) -> Iterator[np.ndarray]:
         """Returns pictures (H, W, 3) uint8 of frames in rising order, one after the other; past the end the last one.
@@ -85,8 +84,7 @@ def open_video(path: str | Path) -> Video:
             if not found:
                 raise at.error(f"0 images ({', '.join(PICTURES)}) in this folder")
             images = tuple(sorted(found, key=_numbered))
-            first = _image(images[0])
-            return Video(at.path, None, first.shape[1::-1], len(images), images)
+            return Video(at.path, None, _image(images[0]).shape[1::-1], len(images), images)
         if not at.path.stat().st_size:
             raise at.error("the file is empty")
         times, notes = _times(at)
