@@ -9,7 +9,6 @@ import imageio.v2 as imageio
 import imageio_ffmpeg
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from motionlab.errors import DataError
@@ -17,7 +16,6 @@ from motionlab.footage import clip
 from motionlab.footage.clip import Clip
 from motionlab.io import cameras, video
 from motionlab.io.cameras import distorted
-from motionlab.observation import at_rate
 
 WIDE, HIGH, FRAMES = 64, 48, 61
 
@@ -153,18 +151,12 @@ def test_keypoints_of_a_copy_at_an_even_rate_are_put_by_time(tmp_path, uneven):
     assert found.times is None and np.allclose(np.diff(x_of(found)), 25 / 30, atol=1e-2)
 
 
-def test_times_that_are_even_change_nothing(generator):
-    seen = clip.Observation2D(torch.rand(9, 2, 2, generator=generator), torch.ones(9, 2), ("a", "b"), 25.0)
-    one, other = at_rate(seen), at_rate(seen, times=np.arange(9) / 25)
-    assert one.frames == other.frames and np.allclose(one.keypoints, other.keypoints, atol=1e-5)
-
-
 # -------------------------------------------------------------------------------------------------- the image's size
 def test_keypoints_of_images_of_another_size_are_refused(tmp_path):
     def checked(scale: float, **how) -> None:
         path = keypoints(tmp_path / f"k{scale}", range(20), scale=scale)
         found = clip.open_clip(path, film(tmp_path / "a.mp4", 20), **how)
-        clip.check_image(found, clip.observation(found, [0]))
+        clip.in_image(found, [0])
 
     checked(0.1)
     with pytest.raises(DataError, match="lie outside its image of 64 x 48") as caught:

@@ -6,7 +6,6 @@
 import importlib
 import os
 import sys
-import urllib.error
 from unittest.mock import Mock
 
 import imageio.v2 as imageio
@@ -76,19 +75,6 @@ def brightest(path) -> None:
     path.write_bytes(model.SerializeToString())
 
 
-def test_a_network_finds_what_moves(tmp_path, video):
-    rtmlib = extra("rtmlib")
-    brightest(tmp_path / "small.onnx")
-    network = rtmlib.RTMPose(str(tmp_path / "small.onnx"), (WIDE, HIGH), backend="onnxruntime")
-    detect.find(video, tmp_path / "keypoints.npz", finder=network)
-    found = keypoints.load(tmp_path / "keypoints.npz")
-    assert (found.fps, found.size, found.frames) == (25.0, (WIDE, HIGH), FRAMES)
-    track = found.tracks[0]
-    assert track.frames.tolist() == [0, 1, 3, 4]  # the empty picture is no person
-    for frame, points in zip(track.frames, track.points, strict=True):
-        assert np.abs(points[:, :2] - corner(frame)).max() < 3  # the square's upper left corner, to two cells
-
-
 def people(path, size: int = 640) -> None:
     """A network of YOLOX's form: where ``Two`` has people, each sure where its half of the picture has white in it."""
     onnx = extra("onnx")
@@ -152,16 +138,6 @@ def test_the_detector_that_is_installed_finds_two_people_by_networks_made_here(t
         assert np.abs(seen - (left, TOP)).max() < 2, left
 
 
-def test_without_a_network_the_detector_says_that_its_weights_are_missing(tmp_path, video, monkeypatch):
-    files = importlib.import_module(f"{extra('rtmlib').__name__}.tools.file")
-
-    monkeypatch.setattr(files, "urlopen", Mock(side_effect=urllib.error.URLError("no route to host")))
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "empty"))
-    with pytest.raises(MissingData, match=r"weights.*no route to host.*--keypoints"):
-        detect.find(video, tmp_path / "keypoints.npz")
-    assert not (tmp_path / "keypoints.npz").exists()
-
-
 def test_people_of_every_frame_are_kept_in_pixels(tmp_path, video):
     def two(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         assert picture.shape == (HIGH, WIDE, 3)
@@ -182,26 +158,18 @@ def test_what_is_missing_is_said(tmp_path, video, monkeypatch):
     monkeypatch.setitem(sys.modules, "rtmlib", None)
     with pytest.raises(MissingData) as caught:
         detect.find(video, tmp_path / "keypoints.npz")
-    for word in (
-        "pip install -c constraints.txt -e '.[detect]'",
-        "--keypoints",
-        "OpenPose",
-        "MMPose",
-        "AlphaPose",
-        "--write_json",
-    ):
+    for word in ("pip install -c constraints.txt -e '.[detect]'", "--keypoints", "OpenPose", "docs/own_footage.md"):
         assert word in str(caught.value)
 
     bare, damaged = "No module named 'onnxruntime'", "INVALID_PROTOBUF : Load model from yolox.onnx failed"
     for error, message in (
-        (OSError("no route to host"), "could not be fetched.*no route to host"),
+        (OSError("no route to host"), "OSError: no route to host.*to the network"),
         (ModuleNotFoundError(bare, name="onnxruntime"), rf"package.*{bare}.*pip install.* '\.\[detect\]'"),
-        (RuntimeError(damaged), "cannot be used.*yolox.onnx.*delete it"),
+        (RuntimeError(damaged), "yolox.onnx.*delete"),
     ):
         monkeypatch.setitem(sys.modules, "rtmlib", Mock(**{"BodyWithFeet.side_effect": error}))
-        with pytest.raises(MissingData, match=message) as caught:
+        with pytest.raises(MissingData, match=message):
             detect.find(video, tmp_path / "keypoints.npz")
-        assert ("fetched (" in str(caught.value)) == isinstance(error, OSError)
     with pytest.raises(DataError, match="nobody was found"):
         detect.find(video, tmp_path / "keypoints.npz", finder=lambda picture: (np.zeros((0, 26, 2)), np.zeros((0, 26))))
     with pytest.raises(ShapeError, match="26"):
@@ -220,10 +188,5 @@ def test_keypoints_of_another_video_are_not_taken_for_those_of_this_one(tmp_path
     out = tmp_path / "out"
     for name, count in (("a", FRAMES), ("a", FRAMES), ("b", 2 * FRAMES), ("b", 2 * FRAMES)):
         read = clip.open_clip(None, tmp_path / f"{name}.mp4", out=out)
-        assert len(found) == count and read.footage.frames == FRAMES
-        assert detect.found_in(out / "keypoints.npz") == f"{name}.mp4"
+        assert len(found) == count and read.footage.frames == FRAMES and (out / f"{name}_keypoints.npz").exists()
     assert any("earlier run" in note for note in read.notes)
-    with np.load(out / "keypoints.npz") as whole:
-        np.savez(out / "keypoints.npz", **{key: whole[key] for key in whole if key != "video"})
-    clip.open_clip(None, tmp_path / "a.mp4", out=out)
-    assert len(found) == 2 * FRAMES  # of a file that does not say, as before

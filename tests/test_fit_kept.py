@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import imageio.v2 as imageio
 import numpy as np
 import pytest
 import torch
-from walked import CAMERA, few_steps, short_windows, table, walk, write_npz
+from walked import CAMERA, few_steps, short_windows, table, walk, write_json, write_npz
 
 from motionlab import files
 from motionlab.errors import DataError
@@ -58,9 +59,10 @@ no_fit = Mock(side_effect=AssertionError("fitted again"))
 def test_windows_stay_until_the_film_of_long_footage_is_drawn(tmp_path, monkeypatch):
     file, out = keypoints(tmp_path, LONG), tmp_path / "out"
     mend = spoil(monkeypatch, KeyboardInterrupt())
-    found = fit.run_clip(file, out, quick=True)
-    assert "stopped while the film was drawn: there is none" in found["notes"] and not found["finished"]
-    assert len(list((out / "windows").iterdir())) == found["windows"] == 3 and not fit.is_finished(out)
+    with pytest.raises(KeyboardInterrupt):
+        fit.run_clip(file, out, quick=True)
+    assert smpl.load_motion(out / "motion.npz").frames == LONG and "the film is not drawn yet" in record(out)["notes"]
+    assert len(list((out / "windows").iterdir())) == record(out)["windows"] == 3 and not fit.is_finished(out)
     mend()
     fits, real = [], testops.fit
     monkeypatch.setattr(testops, "fit", lambda *a, **k: fits.append(1) or real(*a, **k))
@@ -84,32 +86,12 @@ def test_a_film_that_cannot_be_drawn_is_a_note(tmp_path, monkeypatch):
     assert "<video" not in page and "Dots are detections" not in page and "There is no film" in page
 
 
-def test_what_is_written_first_is_no_finished_folder(tmp_path, monkeypatch):
-    """Killed while the film is drawn: the motions are there, and fit.json says what is missing."""
-    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
-    spoil(monkeypatch, SystemExit())
-    with pytest.raises(SystemExit):
-        fit.run_clip(file, out, quick=True)
-    assert smpl.load_motion(out / "motion.npz").frames == SHORT and not fit.is_finished(out)
-    assert "the film is not drawn yet" in record(out)["notes"]
-
-
-def test_the_background_is_compared_before_the_fit(tmp_path, monkeypatch):
-    """Ctrl-C in it costs no fit."""
-    imageio.mimwrite(tmp_path / "clip.mp4", [np.zeros((72, 128, 3), np.uint8)] * SHORT, fps=30)
-
-    monkeypatch.setattr(fit.Clip, "drift", Mock(side_effect=KeyboardInterrupt))
-    monkeypatch.setattr(fit, "fit_people", no_fit)
-    with pytest.raises(KeyboardInterrupt):
-        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", video=tmp_path / "clip.mp4", quick=True)
-
-
 # ----------------------------------------------------------------------------------------------- what was asked
 def test_a_folder_is_finished_only_for_the_options_it_was_made_with(tmp_path, monkeypatch):
     file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
     fit.run_clip(file, out, quick=True, person="all")
     made = {"keypoints": file, "quick": True, "person": "all"}
-    assert fit.is_finished(out) and fit.is_finished(out, made | {"person": ["all"], "camera": None})
+    assert fit.is_finished(out) and fit.is_finished(out, made | {"camera": None})
     others = {"quick": False, "person": "longest", "solver": "rollout", "fps": 25.0, "size": (640, 480)}
     others |= {name: tmp_path / "other" for name in ("camera", "prior", "pose_prior", "initial", "video")}
     others |= {"layout": "COCO_17", "camera_name": "left", "pelvis": [0.0, 0.0, 0.0]}
@@ -117,31 +99,14 @@ def test_a_folder_is_finished_only_for_the_options_it_was_made_with(tmp_path, mo
         assert not fit.is_finished(out, made | {name: value}), name
 
 
-def test_a_folder_is_not_finished_once_the_keypoints_say_something_else(tmp_path):
-    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
-    fit.run_clip(file, out, quick=True)
-    made = {"keypoints": file, "quick": True}
-    moved = tmp_path / "elsewhere" / file.name
-    moved.parent.mkdir()
-    moved.write_bytes(file.read_bytes())
-    assert fit.is_finished(out, made) and fit.is_finished(out, made | {"keypoints": moved})  # wherever the file lies
-    file.write_bytes(file.read_bytes() + b" ")
-    assert not fit.is_finished(out, made)
-
-
-def test_a_folder_is_known_by_its_keypoints_and_their_names(tmp_path):
-    folder = tmp_path / "clip_json"
-    (folder / "pictures").mkdir(parents=True)
-    for k in range(3):
-        (folder / f"clip_{k}_keypoints.json").write_text(f'{{"people": [], "frame": {k}}}')
-    (folder / "clip.mp4").write_bytes(b"film")
-    stamps = [fit._stamp(folder, whole=True)]
-    (folder / "clip_2_keypoints.json").rename(folder / "clip_5_keypoints.json")  # a gap
-    stamps.append(fit._stamp(folder, whole=True))
-    (folder / "clip_5_keypoints.json").write_text('{"people": [], "frame": 9}')
-    stamps.append(fit._stamp(folder, whole=True))
-    stamps.append(fit._stamp(folder.rename(tmp_path / "clip_cam2"), whole=True))
-    assert len(set(stamps)) == 4 and fit._stamp(tmp_path / "none", whole=True)
+def test_a_folder_is_not_finished_once_the_keypoints_are_newer(tmp_path):
+    folder, out = write_json(tmp_path / "seen", table(walk(SHORT))), tmp_path / "out"
+    made = {"keypoints": folder, "fps": 30, "quick": True}
+    fit.run_clip(out=out, **made)
+    assert fit.is_finished(out, made) and not fit.is_finished(tmp_path / "none", made)
+    later = (out / fit.RESULT).stat().st_mtime + 10
+    os.utime(max(folder.iterdir()), (later, later))
+    assert not fit.is_finished(out, made) and fit.is_finished(out)
 
 
 def test_a_window_is_kept_under_all_that_goes_into_its_fit(kit):
@@ -158,7 +123,7 @@ def test_the_report_says_who_has_which_colour_and_how_many_are_not_listed(tmp_pa
 
     def film(motions, camera, pictures, path, *_, roles, **__):
         drawn["roles"] = roles
-        raise KeyboardInterrupt
+        raise RuntimeError("no film")
 
     monkeypatch.setattr(fit.film, "over_footage", film)
     found = fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
@@ -190,20 +155,18 @@ def test_files_that_no_fit_wrote_are_not_overwritten(tmp_path, monkeypatch, name
     assert (out / "mine.html").exists()
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_fit(tmp_path, monkeypatch):
+def test_what_cannot_be_written_is_said_in_a_sentence(tmp_path, monkeypatch):
+    file, out = keypoints(tmp_path, SHORT), tmp_path / "out"
+    monkeypatch.setattr(fit.gltf, "save", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
+    with pytest.raises(DataError, match="cannot be written: No space left on device"):
+        fit.run_clip(file, out, quick=True)
+    assert not list(out.glob("*.*"))
     monkeypatch.setattr(fit, "fit_people", no_fit)
     refused = Mock(side_effect=OSError(errno.EROFS, "Read-only file system"))
     monkeypatch.setattr(files.tempfile, "TemporaryFile", refused)
     with pytest.raises(DataError, match="cannot be written: Read-only file system") as caught:
-        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
+        fit.run_clip(file, out, quick=True)
     assert "--out" in caught.value.remedy
-
-
-def test_a_disk_that_is_full_is_said_in_a_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr(fit.gltf, "save", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
-    with pytest.raises(DataError, match="cannot be written: No space left on device"):
-        fit.run_clip(keypoints(tmp_path, SHORT), tmp_path / "out", quick=True)
-    assert not list((tmp_path / "out").glob("*.*"))
 
 
 def test_a_cut_is_said(tmp_path, monkeypatch):

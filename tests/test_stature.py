@@ -59,12 +59,6 @@ def test_size_is_not_known_without_feet():
     assert np.isnan(scene_fit.seen_size(found, camera())).all()
 
 
-def test_a_larger_scene_looks_the_same_from_as_much_farther_off():
-    motion, by = walk(0.6), camera()
-    large = project(scene_fit.moved(by, 2.0), scene_fit.resized(motion, 2.0).positions)[0]
-    assert torch.allclose(large, project(by, motion.positions)[0], atol=1e-2)
-
-
 @pytest.fixture
 def child(tmp_path, monkeypatch):
     """Keypoints and the placed camera of somebody of 0.6 of the standard's size."""

@@ -39,11 +39,9 @@ def test_a_film_has_a_frame_for_each_of_the_footage(tmp_path, body):
     motion = standing(4, 25.0, at=(0.0, 0.0))
     seen = Observation2D(torch.full((4, 25, 2), 20.0), torch.ones(4, 25), BODY_25, 25.0)
     pictures = (np.full((120, 160, 3), 60 * frame, np.uint8) for frame in range(4))
-    film = over_footage(
-        [motion], CAMERA, pictures, tmp_path / "film.mp4", body, roles=["ours"], seen=[seen], area=19200
-    )
-    found = video.open_video(tmp_path / "film.mp4")
-    assert (found.frames, found.fps, film.seconds) == (4, 25.0, 0.16) and film.poster[:2] == b"\xff\xd8"
+    over_footage([motion], CAMERA, pictures, tmp_path / "a.mp4", body, roles=["ours"], seen=[seen], area=19200)
+    found = video.open_video(tmp_path / "a.mp4")
+    assert (found.frames, found.fps) == (4, 25.0)
     corners = [int(picture[110, 5].mean()) for picture in found.pictures(range(4))]
     assert np.abs(np.array(corners) - [0, 60, 120, 180]).max() < 12
 

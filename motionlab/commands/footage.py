@@ -41,14 +41,8 @@ def _list_people(options: argparse.Namespace) -> int:
 
 
 def _fit_one(options: argparse.Namespace) -> int:
-    try:
-        record = fit.run_clip(**_given(options), progress=is_watched() or "lines")
-    except KeyboardInterrupt:
-        kept = len(list((options.out / "windows").glob("*.safetensors")))
-        print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there" if kept else "")
-        raise
-    for line in scene_report.lines(record):
-        print(line)
+    record = fit.run_clip(**_given(options), progress=is_watched() or "lines")
+    print(*scene_report.lines(record), sep="\n")
     print(f"{options.out}: {', '.join([*record['files'], fit.RESULT])}")
     return 0
 
@@ -91,12 +85,9 @@ def _given(options: argparse.Namespace) -> dict[str, object]:
 def _clips_of(keypoints: Path | None, videos: Path | None) -> dict[str, tuple[Path | None, Path | None]]:
     """Returns the clips of two folders, by name: keypoints (None: still to be found) and video (None: there is none).
     Keypoints belong to a video where they are called as it is, or begin so: walk.mp4 and walk_keypoints.json."""
-    seen = _named(keypoints, _TABLES, _PER_FRAME)
-    if videos is None:
-        return {name: (path, None) for name, path in seen.items()}
-    shown = _named(videos, _VIDEOS, PICTURES)
-    if keypoints is None:
-        return {name: (None, path) for name, path in shown.items()}
+    seen, shown = _named(keypoints, _TABLES, _PER_FRAME), _named(videos, _VIDEOS, PICTURES)
+    if keypoints is None or videos is None:
+        return {name: (seen.get(name), shown.get(name)) for name in seen or shown}
     of = defaultdict(list)
     for name, path in seen.items():
         whose = [video for video in shown if name.startswith(video) and not name[len(video) :][:1].isalnum()]

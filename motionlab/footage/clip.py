@@ -3,11 +3,9 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from motionlab.errors import DataError, MissingData
 from motionlab.files import output_folder
@@ -53,13 +51,6 @@ class Clip:
         there = math.inf if self.video is None or self.video.times is not None else self.video.frames - self.first
         return max(1, min(round(seconds * self.rate), there))
 
-    @cached_property
-    def _rows(self) -> np.ndarray:
-        """The keypoints' frame of every frame of the film."""
-        seconds = np.arange(self.count) / self.rate
-        even = self.times is None
-        return np.rint(seconds * self.footage.fps).astype(int) if even else _frames_at(self.times, seconds)
-
     def pictures(self, frames: Sequence[int]) -> Iterator[np.ndarray]:
         """Returns the pictures of frames of the film, as a camera without distortion would have taken them."""
         wanted, times = [self.first + frame for frame in frames], self.video.times
@@ -77,8 +68,10 @@ class Clip:
         """Computes how far the background moved (N,) in ``samples``, shares of the image's width; see
         ``background_drift``."""
         scale = self.video.size[0] / self.size[0] if self.size else 1.0
-        boxes: list[list[tuple[float, ...]]] = [[] for _ in self.samples]
-        for at, here in zip(self._rows[list(self.samples)], boxes, strict=True):
+        seconds, even = np.array(self.samples) / self.rate, self.times is None
+        rows = np.rint(seconds * self.footage.fps) if even else _frames_at(self.times, seconds)
+        boxes: list[list[tuple[float, ...]]] = [[] for _ in rows]
+        for at, here in zip(rows, boxes, strict=True):
             for track in self.footage.tracks:
                 near = np.abs(track.frames - at)
                 points = track.points[near.argmin()]
@@ -110,8 +103,7 @@ def read_clip(
     if camera is not None:
         clip = with_camera(clip, camera, camera_name)
     ids = [track.id for track in clip.footage.chosen(person)]
-    check_image(clip, observation(clip, ids), camera)
-    clip = straightened(clip if how.get("size") else _doubt(clip))
+    clip = straightened(in_image(clip, ids, camera, guessed=not how.get("size")))
     return clip, ids, observation(clip, ids)
 
 
@@ -122,7 +114,7 @@ def open_clip(
 ) -> Clip:  # fmt: skip
     """Reads keypoints and opens their video, which says rate and size where the keypoints do not.
 
-    out: folder for the keypoints, where they have to be found (``keypoints.npz``).
+    out: folder for the keypoints, where they have to be found (``VIDEO_keypoints.npz``).
 
     Raises:
         DataError: either cannot be read, or the video is shorter than the keypoints. MissingData: see ``detect.find``.
@@ -133,8 +125,8 @@ def open_clip(
             raise MissingData("the keypoints", "Give a video, or --keypoints FILE_OR_FOLDER.")
         if out is None:
             raise DataError("nowhere to keep the keypoints that are found", remedy="name a folder: --out OUT/")
-        keypoints_path = output_folder(out) / "keypoints.npz"
-        if keypoints_path.exists() and detect.found_in(keypoints_path) in (None, shown.path.name):
+        keypoints_path = output_folder(out) / f"{shown.path.stem}_keypoints.npz"
+        if keypoints_path.exists():
             notes = [f"keypoints of an earlier run: {keypoints_path}; delete it to find them again"]
         else:
             detect.find(shown, keypoints_path, fps=fps, progress=bool(begins("keypoints", progress)))
@@ -202,7 +194,7 @@ def _said(read: Footage, shown: Video, first: int, times: np.ndarray | None, *, 
         notes.append(f"the footage ends before the keypoints, whose frames are {short} more")
     if first:
         notes.append(f"the keypoints begin at frame {first} of the footage")
-    every = round(shown.frames / max(read.frames, 1))
+    every = round(shown.frames / read.frames)
     rest = shown.frames - (read.frames - 1) * every
     if guessed and read.fps == shown.fps and first == 0 and every > 1 and 0 <= rest <= every:
         taken = f"the keypoints are taken for the first {read.frames} of {shown.frames} frames"
@@ -236,7 +228,7 @@ def straightened(clip: Clip) -> Clip:
         gone = ~np.isfinite(points[..., :2]).all(-1)
         points[gone | ~seen] = 0
         lost, count = lost + int((gone & seen).sum()), count + int(seen.sum())
-        found.append(replace(track, points=points))
+        found.append(points)
     notes = [f"the lens is taken out of keypoints and pictures: {', '.join(f'{x:g}' for x in clip.camera.distortion)}"]
     if lost > _OUTSIDE * count:
         message = f"no point of the image is where {lost / count:.0%} of the keypoints are"
@@ -264,32 +256,27 @@ def observation(clip: Clip, ids: Sequence[int]) -> Observation2D:
     return seen
 
 
-def _doubt(clip: Clip) -> Clip:
-    """Tells where an image of which nobody said the size may be larger than the one in which people were detected: all
-    of them lie in its left upper quarter."""
+def in_image(clip: Clip, ids: Sequence[int], camera: str | Path | None = None, *, guessed: bool = False) -> Clip:
+    """Checks that people lie in the image, as its camera or its footage says it is.
+
+    guessed: nobody said its size; then a note tells where it may be larger than the one in which people were detected:
+    all of them lie in its left upper quarter.
+
+    Raises:
+        DataError: a fifth of the detections, or more, do not.
+    """
     size = clip.size if clip.camera is None else (clip.camera.width, clip.camera.height)
-    points = np.concatenate([track.points[track.points[..., 2] > 0, :2] for track in clip.footage.tracks])
-    if size is None or not len(points) or not (np.quantile(points, 0.99, axis=0) < np.divide(size, 2)).all():
+    if size is None:
+        return clip
+    tracks = [track for track in clip.footage.tracks if track.id in ids]
+    points = np.concatenate([track.points[track.points[..., 2] > 0, :2] for track in tracks])
+    share = ((points < 0) | (points > size)).any(-1).mean()
+    if share > _OUTSIDE:
+        remedy = "of another size, or not turned upright? Give the size (--size WxH), or the camera (--camera-name)"
+        message = f"{share:.0%} of the detections lie outside its image of {size[0]} x {size[1]}"
+        raise DataError(message, path=camera or (clip.video and clip.video.path) or clip.footage.path, remedy=remedy)
+    if not guessed or not (np.quantile(points, 0.99, axis=0) < np.divide(size, 2)).all():
         return clip
     copy = f"if they are of a smaller copy, give its size, as --size {round(size[0] / 2)}x{round(size[1] / 2)}"
     note = f"all detections lie in the left upper quarter of the image of {size[0]} x {size[1]}: {copy}"
     return replace(clip, notes=(*clip.notes, note))
-
-
-def check_image(clip: Clip, seen: Observation2D, camera: str | Path | None = None) -> None:
-    """Checks that people lie in the image, as its camera or its footage says it is.
-
-    Raises:
-        DataError: too many of the detections do not.
-    """
-    size = clip.size if clip.camera is None else (clip.camera.width, clip.camera.height)
-    if size is None:
-        return
-    outside = ((seen.keypoints < 0) | (seen.keypoints > torch.tensor(size))).any(-1) & (seen.confidence > 0)
-    share = float(outside.sum() / (seen.confidence > 0).sum())
-    if share > _OUTSIDE:
-        remedy = "they may be of images of another size, or of ones not turned upright: give that size (--size WxH)"
-        if clip.camera is not None:
-            remedy = "give the camera that took these images, at the same resolution (see --camera-name)"
-        message = f"{share:.0%} of the detections lie outside its image of {size[0]} x {size[1]}"
-        raise DataError(message, path=camera or (clip.video and clip.video.path) or clip.footage.path, remedy=remedy)

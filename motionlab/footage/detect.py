@@ -4,7 +4,6 @@ rtmlib downloads its weights at first use. Anything that finds people can stand 
 """
 
 import contextlib
-import http.client
 import io
 import sys
 from collections.abc import Callable
@@ -16,16 +15,12 @@ from tqdm import tqdm
 from motionlab.errors import DataError, MissingData, ShapeError
 from motionlab.files import write_whole
 from motionlab.io.detections import HALPE_26
-from motionlab.io.reading import read_npz, reading
 from motionlab.io.video import Video
 
 _LOWEST = 0.3  # score from which RTMPose draws a point
 _OTHERWISE = (
-    "Run a 2-D pose detector yourself and give what it wrote with --keypoints: OpenPose "
-    "(openpose.bin --video clip.mp4 --write_json json/), MMPose (python demo/inferencer_demo.py clip.mp4 "
-    "--pose2d body26 --pred-out-dir json/), AlphaPose (python scripts/demo_inference.py --video clip.mp4 "
-    "--outdir json/), Ultralytics (yolo pose predict source=clip.mp4 save_txt=True), MediaPipe, MoveNet, ViTPose, "
-    "Sports2D, or an npz or CSV of your own, as motionlab.io.keypoints describes it."
+    "Run a 2-D pose detector yourself and give what it wrote with --keypoints; docs/own_footage.md says how to run "
+    "OpenPose, MMPose, AlphaPose and Ultralytics, and motionlab.io.keypoints what else is read."
 )
 
 
@@ -41,9 +36,7 @@ def _rtmpose() -> Callable:
         how = "In the checkout: pip install -c constraints.txt -e '.[detect]'."
         raise MissingData(what, f"{how} {_OTHERWISE}") from error
     except Exception as error:
-        how = f"What is there cannot be used ({type(error).__name__}: {error}): delete it, and try again."
-        if isinstance(error, OSError | http.client.HTTPException):  # what a download raises, not onnxruntime
-            how = f"It could not be fetched ({error}): connect once to the network."
+        how = f"{type(error).__name__}: {error}. Connect once to the network; or delete what is there and damaged."
         raise MissingData("RTMPose's file of weights", f"{how} {_OTHERWISE}") from error
 
     def finder(picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,23 +70,11 @@ def find(
             raise ShapeError(f"finder: expected (P, 26, 2) and (P, 26), got {points.shape} and {scores.shape}")
         sure = np.where(scores < _LOWEST, 0.0, scores)
         frames.append(np.concatenate((points, sure[..., None]), -1))
-    table = np.zeros((len(frames), max([1, *map(len, frames)]), len(HALPE_26), 3), np.float32)
-    for row, people in zip(table, frames, strict=True):
-        row[: len(people)] = people
+    most = max([1, *map(len, frames)])
+    table = np.stack([np.pad(people, ((0, most - len(people)), (0, 0), (0, 0))) for people in frames])
     if not (table[..., 2] > 0).any():
         raise DataError("nobody was found in any frame", path=video.path, remedy="use another video")
     archive = io.BytesIO()
-    about = {"names": np.array(HALPE_26), "fps": fps, "size": np.array(video.size), "video": np.array(video.path.name)}
-    np.savez_compressed(archive, keypoints=table, **about)
+    about = {"names": np.array(HALPE_26), "fps": fps, "size": np.array(video.size)}
+    np.savez_compressed(archive, keypoints=table.astype(np.float32), **about)
     write_whole(path, archive.getvalue())
-
-
-def found_in(path: Path) -> str | None:
-    """Returns the name of the video whose keypoints ``find`` wrote; None where the file does not say.
-
-    Raises:
-        DataError: no npz.
-    """
-    with reading(path, "delete it to find the keypoints again") as at:
-        name = read_npz(at, ("video",)).get("video")
-        return None if name is None else str(name)

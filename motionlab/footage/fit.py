@@ -4,14 +4,13 @@
 and a report. ``fit.json`` says at the end whether the folder is finished: not stopped, and nothing left to draw.
 """
 
-import contextlib
-import hashlib
 import json
 import shutil
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -45,38 +44,30 @@ _LEG = float(STANDARD.offsets[STANDARD.indices(["left_knee", "left_ankle"])].nor
 def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> bool:
     """Says whether ``run_clip`` has written a folder, to the end and without having been stopped.
 
-    how: arguments of ``run_clip`` by name; then only a folder made with the same, of files with the same content.
+    how: arguments of ``run_clip`` by name; then only a folder made with the same, and after the files that it is of.
     """
+    old = _earlier(Path(out))
+    if how is None or old.get("finished") is not True:
+        return old.get("finished") is True
+    files = [Path(how[name]) for name in _READ if how.get(name) is not None]
+    times = [each.stat().st_mtime for path in files for each in (path, *path.glob("*")) if each.exists()]
+    return old["asked"] == _asked(how) and max(times, default=0.0) <= (Path(out) / RESULT).stat().st_mtime
+
+
+def _asked(given: Mapping[str, object]) -> dict[str, str]:
+    """What decides about a fit, of the arguments of ``run_clip``, those that are not given by their defaults."""
+    known = signature(run_clip).parameters.items()
+    return {name: str(given.get(name, one.default)) for name, one in known if name not in ("out", "progress")}
+
+
+def _earlier(out: Path) -> dict[str, object]:
+    """What an earlier run said of itself, ``RESULT`` among its files; nothing where there was none."""
     try:
-        record = json.loads((Path(out) / RESULT).read_text(encoding="utf-8"))
-        return record["finished"] is True and (how is None or record["asked"] == _asked(**how))
+        old = json.loads((out / RESULT).read_text(encoding="utf-8"))
+        files = [RESULT, *(Path(str(name)).name for name in old["files"])]
+        return old | {"files": files} if {"finished", "asked"} <= old.keys() else {}
     except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
-def _asked(person="longest", solver="shooting", quick=False, draws=0, height=None, **given) -> dict[str, object]:
-    """What decides about a fit, of the arguments of ``run_clip``, as plain JSON: null is not given; of files a hash."""
-    rows = {name: given.get(name) for name in ("size", "pelvis")}
-    return {
-        "person": [str(word) for word in ([person] if isinstance(person, str | int) else person)],
-        "solver": solver, "quick": quick,
-        **{name: None if given.get(name) is None else _stamp(Path(given[name]), name != "video") for name in _READ},
-        **{name: None if row is None else [*map(float, row)] for name, row in rows.items()},
-        **{name: given.get(name) for name in ("fps", "layout", "camera_name")},
-        **({} if height is None else {"height": float(height)}), **({"draws": int(draws)} if draws else {}),
-    }  # fmt: skip
-
-
-def _stamp(path: Path, whole: bool) -> str:
-    """A hash of a name (a camera may be told by it) and a file, or the files of a folder: their content or sizes."""
-    files = [file for file in sorted(path.iterdir()) if file.is_file()] if path.is_dir() else [path]
-    found = hashlib.sha256(path.name.encode())
-    for file in files:
-        with contextlib.suppress(OSError):  # what is not there or may not be read is refused by its loader
-            found.update(f"/{file.name} {file.stat().st_size} ".encode())
-            if whole and (file == path or file.suffix in (".json", ".txt")):  # pictures may lie beside them
-                found.update(file.read_bytes())
-    return found.hexdigest()[:16]
+        return {}
 
 
 def run_clip(
@@ -115,7 +106,7 @@ def run_clip(
             found before the fit. MissingData: no keypoints, and no detector.
         KeyboardInterrupt: stopped, and not finished.
     """
-    asked = _asked(**locals())
+    asked = _asked(locals())
     if draws and (quick or solver != "shooting" or not 1 <= draws <= DRAWS):
         what = "a quick fit" if quick else f"the solver {solver}" if solver != "shooting" else f"{draws} draws"
         raise DataError(f"no draws for {what}", place="draws", remedy=f"ask for 1 to {DRAWS} of a usual fit")
@@ -129,34 +120,31 @@ def run_clip(
     pelvis, windows = None if pelvis is None else tuple(pelvis), out / "windows"
     priors = pretrained.load_priors(motion=prior, pose=pose_prior, initial=initial, pelvis=pelvis)
     begins("is the camera still?", progress)
-    drift = None if clip.video is None else clip.drift()  # before the fit, which it must not lose
+    drift = np.zeros(0) if clip.video is None else clip.drift()  # before the fit, which it must not lose
     how = {"solver": solver, "quick": quick, "keep": windows, "progress": progress, "height": height, "draws": draws}
     fitted = fit_people(seen, SceneFitConfig(priors, clip.camera, clip.placed, clip.size, **how))
     record = _record(clip, ids, fitted, drift, height)
     record |= {"solver": solver, "quick": quick, "stopped": fitted.stopped, "asked": asked}
     others = {k: each for k, each in enumerate(fitted.draws) if not record["people"][k]["doubtful"]}
-    body, poster = BodyModel.from_anny(), b""
+    body = BodyModel.from_anny()
     with writing(out), tempfile.TemporaryDirectory(prefix=".fit-", dir=out) as folder:
         part = Path(folder)
         files = _write(part, ids, fitted, others, record, body)
         record["files"] = [*files, "report.html"]
-        for name in _of_earlier(out):
+        for name in _earlier(out).get("files", ()):
             (out / name).unlink(missing_ok=True)
         for name in files:
             (part / name).replace(out / name)
         _report(out, record | {"finished": False, "notes": [*record["notes"], "the film is not drawn yet"]}, began)
         record["finished"] = not fitted.stopped
         try:
-            poster = _film(part / "overlay.mp4", clip, fitted, body, others, quick, progress).poster
+            _film(part / "overlay.mp4", clip, fitted, body, others, quick, progress)
             (part / "overlay.mp4").replace(out / "overlay.mp4")
             record["files"].insert(-1, "overlay.mp4")
-        except KeyboardInterrupt:
-            record["notes"].append("stopped while the film was drawn: there is none")
-            record["finished"] = False
         except Exception as error:  # of the machine, where the same call would not draw it either
             record["notes"].append(f"the film could not be drawn: {type(error).__name__}: {error}")
-        _report(out, record, began, poster)
-    if poster:
+        _report(out, record, began)
+    if "overlay.mp4" in record["files"]:
         shutil.rmtree(windows, ignore_errors=True)
     return record
 
@@ -169,18 +157,9 @@ def _check_free(out: Path, stems: Sequence[str]) -> None:
     """Checks that only files of an earlier fit are overwritten."""
     names = {f"{stem}.{suffix}" for stem in stems for suffix in ("bvh", "npz")}
     names |= {"scene.glb", "draws.glb", "overlay.mp4", "report.html", RESULT}
-    if others := sorted(name for name in names - {*_of_earlier(out)} if (out / name).exists()):
+    if others := sorted(name for name in names - {*_earlier(out).get("files", ())} if (out / name).exists()):
         message = f"{', '.join(others)} would be overwritten, and no earlier fit wrote that"
         raise DataError(message, path=out, remedy="move it away, or name another folder: --out OUT/")
-
-
-def _of_earlier(out: Path) -> list[str]:
-    """The names of the files that an earlier run wrote."""
-    try:
-        old = json.loads((out / RESULT).read_text(encoding="utf-8"))
-        return [RESULT, *(Path(str(name)).name for name in old["files"])] if "finished" in old else []
-    except (OSError, ValueError, KeyError, TypeError):
-        return []
 
 
 def _write(
@@ -193,10 +172,10 @@ def _write(
         standard = retarget(replace(motion, contacts=None), proportions="standard", leg=_LEG)
         smpl.save_motion(folder / f"{stem}.npz", replace(standard.motion, contacts=motion.contacts))
         row["files"] = {"bvh": f"{stem}.bvh", "amass": f"{stem}.npz"}
-        betas = "zeros: SMPL's are no function of bone lengths alone, and no model of SMPL is at hand"
         says = (f"put on a body of standard size, {standard.scale:.3f} times as large, path and all; its feet stand on "
-                "z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0")  # fmt: skip
-        row["amass"] = {"betas": betas, "scale": standard.scale, "raised_m": standard.floor, "says": says}
+                "z = 0. BVH and GLB have the fitted bones. trans is the pelvis, without SMPL's J_0. betas are zero: no "
+                "function of bone lengths alone")  # fmt: skip
+        row["amass"] = {"scale": standard.scale, "raised_m": standard.floor, "says": says}
         files += row["files"].values()
     names = [f"person {each}" for each in ids]
     gltf.save(folder / "scene.glb", fitted.motions[0] if len(ids) == 1 else fitted.motions, body=body, names=names)
@@ -208,15 +187,15 @@ def _write(
     return [*files, "scene.glb"]
 
 
-def _report(out: Path, record: dict[str, object], began: float, poster: bytes = b"") -> None:
+def _report(out: Path, record: dict[str, object], began: float) -> None:
     record["seconds"] = time.perf_counter() - began
-    write_whole(out / "report.html", scene_report.page(record, poster))
+    write_whole(out / "report.html", scene_report.page(record))
     write_whole(out / RESULT, json.dumps(record, indent=1, allow_nan=False))
 
 
 def _film(
     path: Path, clip: Clip, fitted: SceneFit, body: BodyModel, draws: dict[int, Draws], quick: bool, bars: str | bool
-) -> film.Film:
+) -> None:
     count, rate, fps = clip.count, clip.rate, fitted.seen.fps
     at = (torch.arange(count) / rate * fps).round().long().clamp(max=fitted.seen.frames - 1)
     played = [resample(replace(motion, contacts=None), rate) for motion in fitted.motions]
@@ -229,19 +208,17 @@ def _film(
     how |= {"area": _SMALL} if quick else {}
     places = {k: project(fitted.camera, each.motions.positions[:, at])[0] for k, each in draws.items()}
     how["ghosts"] = {k: (places[k], each.hidden[at]) for k, each in draws.items()}
-    return film.over_footage(motions, fitted.camera, pictures, path, body, **how)
+    film.over_footage(motions, fitted.camera, pictures, path, body, **how)
 
 
-def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray | None, height: float | None) -> dict:
+def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray, height: float | None) -> dict:
     """What there is to say, as plain numbers; see ``scene_report.page``."""
     camera, read = fitted.camera, clip.footage
     pixels = torch.stack([project(camera, landmarks_of(motion))[0] for motion in fitted.motions])
     away, weight = pixel_distances(pixels, fitted.seen)
     people = [scene_report.person_row(k, each, fitted, away[k], weight[k]) for k, each in enumerate(ids)]
-    drift = np.zeros(0) if drift is None else drift
     worst = max((float(off) for off in drift[1:] if np.isfinite(off)), default=None)
     cuts = [clip.samples[k] / clip.rate for k in np.flatnonzero(np.isinf(drift))]
-    left_out = [track.id for track in read.tracks if track.id not in ids]
     given = clip.camera is not None
     if clip.placed and height is None:
         for row, share in zip(people, seen_size(fitted.seen, clip.camera), strict=True):
@@ -260,8 +237,8 @@ def _record(clip: Clip, ids: Sequence[int], fitted: SceneFit, drift: np.ndarray 
                    "distortion": list(clip.camera.distortion) if given else []},
         "moving_camera": {"assumed": "the camera does not move", "background_drift": worst,
                           "moved": True if cuts else None if worst is None else worst > video.MOVED, "cuts_s": cuts},
-        "people": people, "left_out": left_out, "frames": fitted.seen.frames, "fps": fitted.seen.fps,
-        "windows": fitted.windows, "energy": fitted.energy, "ended": list(fitted.reasons),
+        "people": people, "frames": fitted.seen.frames, "fps": fitted.seen.fps,
+        "windows": fitted.windows,
         "notes": [*clip.notes, *fitted.notes],
     }  # fmt: skip
 
@@ -286,8 +263,6 @@ def pixel_distances(pixels: Tensor, observation: Observation2D) -> tuple[Tensor,
     The observation is of BODY_25; what was not detected, neck and hips weigh nothing.
     """
     keypoints, weight = observation.keypoints, observation.confidence.clone()
-    if keypoints.ndim == 3:
-        keypoints, weight = keypoints[None], weight[None]
     weight[..., list(UNUSED_BODY_25)] = 0.0
     seen = (weight > 0) & keypoints.isfinite().all(-1)
     away = (pixels - torch.where(seen[..., None], keypoints, 0.0)).norm(dim=-1)

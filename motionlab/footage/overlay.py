@@ -14,7 +14,6 @@ from motionlab.body import BodyModel
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
 from motionlab.skeleton import STANDARD
-from motionlab.viz.movie import Film, jpeg
 from motionlab.viz.palette import INK, PAPER, blend, colour
 from motionlab.viz.scene import Scene
 
@@ -79,8 +78,8 @@ def labelled(picture: np.ndarray, text: str) -> np.ndarray:
 def over_footage(
     motions: Sequence[Motion], camera: Camera, pictures: Iterable[np.ndarray] | None, path: str | Path, body: BodyModel,
     *, roles: Sequence[str | tuple], shown: Sequence[Sequence[bool]] | None = None, seen: Sequence[Observation2D] = (),
-    ghosts: Mapping[int, tuple[Tensor, Tensor]] | None = None, area: int = _AREA, progress: bool | str = False,
-) -> Film:  # fmt: skip
+    ghosts: Mapping[int, tuple[Tensor, Tensor]] | None = None, area: int = _AREA, progress: str | bool = False,
+) -> None:  # fmt: skip
     """Writes an MP4 of people over what their camera filmed, beside the scene from the camera's right.
 
     The eye on the right stands for those of whom, while they are there, at least half as much was seen as of the one
@@ -93,7 +92,7 @@ def over_footage(
         seen: detections of each person, a frame for each of the film, drawn as dots.
         ghosts: by person, where joints of other motions are in the image (K, T, 22, 2) and which are hidden (T, 22):
             their hidden limbs are drawn as lines.
-        area: of the picture over the footage, pixels. progress: show a bar; or its name.
+        area: of the picture over the footage, pixels. progress: the name of a bar, or False.
     """
     count, fps = motions[0].frames, motions[0].fps
     size, frames = _film_size(camera, area), range(count)
@@ -108,11 +107,9 @@ def over_footage(
         for k, (motion, role) in enumerate(zip(motions, roles, strict=True)):
             there = None if shown is None else shown[k]
             side.body(body, motion, role, shown=there, framed=2 * much[k] >= max(much))
-        poster = None
         with imageio.get_writer(path, fps=fps, macro_block_size=2, quality=6) as film:
             drawn = bodies_over(motions, camera, below, frames, size, body, roles=roles, shown=shown, fine=False)
-            name = progress if isinstance(progress, str) else None
-            for frame, front in enumerate(tqdm(drawn, name, count, leave=False, disable=not progress)):
+            for frame, front in enumerate(tqdm(drawn, progress or None, count, leave=False, disable=not progress)):
                 image, scale = Image.fromarray(front), size[0] / camera.width
                 for person, role in zip(seen, roles, strict=False):
                     _draw_dots(image, person, frame, scale, role)
@@ -120,10 +117,7 @@ def over_footage(
                     if shown is None or shown[k][frame]:
                         _draw_bones(image, places[:, frame] * scale, hidden[frame], roles[k])
                 text = "over the footage" if pictures is not None else "through the camera"
-                picture = np.concatenate((labelled(np.asarray(image), text), side.image(frame / fps)), 1)
-                film.append_data(picture)
-                poster = picture if poster is None or frame == count // 2 else poster
-    return Film(Path(path), count / fps, 1.0, jpeg(poster))
+                film.append_data(np.concatenate((labelled(np.asarray(image), text), side.image(frame / fps)), 1))
 
 
 def _draw_bones(image: Image.Image, places: Tensor, hidden: Tensor, role: str | tuple) -> None:

@@ -52,7 +52,7 @@ class SceneFit:
 
     motions: one per person, of the whole footage, on the fitted bones; unseen times are filled in. shown (P, T): seen,
     or only for a moment not. seen: keypoints of BODY_25 (P, T, 25, 2). camera: one for all. latent_chi2 (P,): see
-    ``testops.FitDiagnostics``. windows: how many. reasons: why each search ended. stopped: whether Ctrl-C ended it.
+    ``testops.FitDiagnostics``. windows: how many. stopped: whether Ctrl-C ended it.
     draws: of each person, other motions that explain as well what was seen, where they were asked for.
     """
 
@@ -61,9 +61,7 @@ class SceneFit:
     seen: Observation2D
     camera: Camera
     latent_chi2: Tensor
-    energy: dict[str, list[float]]
     windows: int
-    reasons: tuple[str, ...]
     notes: tuple[str, ...]
     stopped: bool = False
     draws: tuple[Draws, ...] = ()
@@ -123,16 +121,15 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
         return _of_height(seen, config, config.height)
     enough = (seen.confidence[..., USED] > 0).sum(-1) >= MIN_KEYPOINTS
     people, frames = enough.shape
-    whole = frames <= MAX_FRAMES
-    starts = (0,) if whole else _window_starts(frames)
-    length = frames if whole else WINDOW
+    many = frames > MAX_FRAMES
+    starts, length = (_window_starts(frames), WINDOW) if many else ((0,), frames)
     camera, notes = config.camera, []
     floor = None if camera is None else "camera" if config.placed else "guess"
-    if not config.placed and (people > 1 or len(starts) > 1):
+    if not config.placed and (people > 1 or many):
         camera, notes = _common_camera(seen, enough, config)
         floor = "camera"
     pieces: list[list[dict[str, Tensor]]] = [[] for _ in range(people)]
-    reasons, energy, stopped, many, draws = [], {}, False, len(starts) > 1, []
+    stopped, draws = False, []
     where = config.keep if many else None
     for k, start in enumerate(tqdm(starts, "windows", unit="window", disable=not many or config.progress is not True)):
         if many:
@@ -144,8 +141,7 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
             file = where and where / f"{_key(part, camera, config)}.safetensors"
             found = file and checkpoint.kept(file)
             if found is None:
-                inner = config if not many else replace(config, progress=False)
-                fitted = inner.fit(part, camera, floor)
+                fitted = replace(config, progress=not many and config.progress).fit(part, camera, floor)
                 stopped |= fitted.stopped
                 if fitted.stopped and many:
                     raise KeyboardInterrupt
@@ -159,28 +155,22 @@ def fit_people(seen: Observation2D, config: SceneFitConfig) -> SceneFit:
                     with writing(where):
                         where.mkdir(parents=True, exist_ok=True)
                     checkpoint.keep(file, *found)
-            tensors, (said, ended, terms) = found
-            notes, reasons = notes + said, reasons + ended
-            for name, values in zip(terms, tensors["energy"].tolist(), strict=True):
-                for person, value in zip(some, values, strict=True):
-                    energy.setdefault(name, [0.0] * people)[person] += value
+            tensors, said = found
+            notes = notes + said
             for row, person in enumerate(some):
                 pieces[person].append({"start": start} | {key: tensors[key][row] for key in _KEYS})
     motions = [_joined(parts, frames, seen.fps) for parts in pieces]
     latent_chi2 = torch.stack([torch.stack([part["latent_chi2"] for part in parts]).mean() for parts in pieces])
     shown = torch.nn.functional.max_pool1d(enough[:, None].float(), 2 * _SHOWN + 1, 1, _SHOWN)[:, 0] > 0
     if not config.placed:
-        motions, camera, lift = _on_the_floor(motions, shown, camera)
-        up = torch.tensor([0.0, 0.0, lift])
+        motions, camera, up = _on_the_floor(motions, shown, camera)
         draws = [each.changed(lambda m: replace(m, root=m.root + up)) for each in draws]
-        notes += [f"the floor was moved by {100 * lift:+.1f} cm so that the feet stand on z = 0"]
+        notes += [f"the floor was moved by {100 * up[2]:+.1f} cm so that the feet stand on z = 0"]
     if config.draws and not draws:
         why = f"more than {MAX_FRAMES / 30:g} s is fitted in pieces" if many else "the fit was stopped"
         notes += [f"no other motions are drawn: {why}"]
-    return SceneFit(
-        tuple(motions), shown, seen, camera, latent_chi2, energy, windows=len(starts), reasons=tuple(reasons),
-        notes=tuple(dict.fromkeys(notes)), stopped=stopped, draws=tuple(draws),
-    )  # fmt: skip
+    notes = tuple(dict.fromkeys(notes))
+    return SceneFit(tuple(motions), shown, seen, camera, latent_chi2, len(starts), notes, stopped, tuple(draws))
 
 
 def _of_height(seen: Observation2D, config: SceneFitConfig, height: float) -> SceneFit:
@@ -228,17 +218,12 @@ def _common_camera(seen: Observation2D, enough: Tensor, config: SceneFitConfig) 
     return camera, [note for note in fitted.notes if "camera assumed" in note]
 
 
-def _told(fitted: testops.Fitted) -> tuple[dict[str, Tensor], tuple[list[str], ...]]:
-    """What is kept of a fit: tensors, their energies (E, P) by term; notes, why each search ended, and the terms."""
-    motion, people, doubts = fitted.motion, len(fitted.betas), fitted.diagnostics
-    latent_chi2 = motion.root.new_full((people,), float("nan")) if doubts is None else doubts.latent_chi2
-    energy = fitted.energies[max(fitted.energies)]
-    tensors = {
-        "root": motion.root, "rot": motion.rot, "contacts": fitted.contacts, "betas": fitted.betas.detach(),
-        "latent_chi2": latent_chi2, "energy": torch.stack([*energy.values()]).detach(),
-    }  # fmt: skip
-    notes = [note for note in fitted.notes if "doubts" not in note]
-    return tensors, (notes, [one.reasons[-1] for some in fitted.results.values() for one in some], [*energy])
+def _told(fitted: testops.Fitted) -> tuple[dict[str, Tensor], list[str]]:
+    """What is kept of a fit: tensors, and notes."""
+    motion, doubts = fitted.motion, fitted.diagnostics
+    latent_chi2 = motion.root.new_full((len(fitted.betas),), torch.nan) if doubts is None else doubts.latent_chi2
+    values = (motion.root, motion.rot, fitted.contacts, fitted.betas.detach(), latent_chi2)
+    return dict(zip(_KEYS, values, strict=True)), [note for note in fitted.notes if "doubts" not in note]
 
 
 def _key(part: Observation2D, camera: Camera, config: SceneFitConfig) -> str:
@@ -249,7 +234,7 @@ def _key(part: Observation2D, camera: Camera, config: SceneFitConfig) -> str:
     tensors += (first.weights, first.means, first.covariances)
     for tensor in (*tensors, *(weight for network in networks for weight in network.parameters())):
         content.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    content.update(repr((config.schedule, config.solver, config.size, _KEYS)).encode())
+    content.update(repr((_KEYS, config.schedule, config.solver, config.size)).encode())
     return content.hexdigest()[:16]
 
 
@@ -280,8 +265,8 @@ def _joined(parts: Sequence[dict[str, Tensor]], frames: int, fps: float) -> Moti
     return replace(motion, contacts=(contacts > 0.5).float())
 
 
-def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> tuple[list[Motion], Camera, float]:
-    """Raises the whole scene, its camera too, so that the balls of the feet are at sole height.
+def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> tuple[list[Motion], Camera, Tensor]:
+    """Raises the whole scene, its camera too, so that the balls of the feet are at sole height; says (3,) by how much.
 
     Of each person those that the prior says are in contact, in the median; without any, the height that the lower one
     is below in 2 % of the frames. Of several people the median.
@@ -291,10 +276,9 @@ def _on_the_floor(motions: Sequence[Motion], shown: Tensor, camera: Camera) -> t
         height = motion.positions[on][:, feet, 2]
         rests = motion.contacts[on][:, [motion.skeleton.contact_names.index(name) for name in BALLS]] > 0
         low.append(height[rests].median() if rests.any() else height.amin(-1).quantile(0.02))
-    lift = float(STANDARD.sole - torch.stack(low).median())
-    up = torch.tensor([0.0, 0.0, lift])
+    up = torch.tensor([0.0, 0.0, STANDARD.sole - torch.stack(low).median()])
     moved = [replace(motion, root=motion.root + up) for motion in motions]
-    return moved, replace(camera, translation=camera.translation - camera.rotation @ up), lift
+    return moved, replace(camera, translation=camera.translation - camera.rotation @ up), up
 
 
 def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
@@ -315,13 +299,11 @@ def seen_size(seen: Observation2D, camera: Camera) -> list[float]:
     depth = torch.where((depth > 0) & (rays[..., 2] < 0), depth, torch.nan)
     lower = depth.nan_to_num(torch.inf).amin(-1)  # the foot that is on the floor is the nearer one
     level = (rays[..., :2].norm(dim=-1) / rays.norm(dim=-1)).nanmedian(-1).values.clamp(min=0.5)
-    sizes = []
-    for a, b in _BONES:
-        for side in ("left", "right"):
-            one, other = BODY_25.index(f"{side}_{a}"), BODY_25.index(f"{side}_{b}")
-            length = float(STANDARD.offsets[STANDARD.index(f"{side}_{b}")].norm())
-            sizes.append((plane[..., one, :] - plane[..., other, :]).norm(dim=-1) * lower / level / length)
-    size = torch.stack(sizes, 1)  # (P, 8, T)
+    ends = [[f"{side}_{end}" for side in ("left", "right") for end in part] for part in zip(*_BONES, strict=True)]
+    one, other = ([BODY_25.index(name) for name in names] for names in ends)
+    length = STANDARD.offsets[STANDARD.indices(ends[1])].norm(dim=-1)
+    across = (plane[..., one, :] - plane[..., other, :]).norm(dim=-1)  # (P, T, 8)
+    size = (across * lower[..., None] / level[..., None] / length).mT
     told = size.isfinite() & (size.isfinite().sum(-1, keepdim=True) >= _BONE_FRAMES)
     return torch.where(told, size, torch.nan).nanquantile(0.9, dim=-1).nanmedian(-1).values.tolist()
 

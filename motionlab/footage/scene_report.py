@@ -1,15 +1,12 @@
 """Writes the report of a fit: terminal summary and one offline HTML page."""
 
-import base64
-from collections.abc import Mapping, Sequence
-from itertools import groupby
+from collections.abc import Mapping
 from pathlib import Path
 
 import jinja2
 import numpy as np
 from torch import Tensor
 
-from motionlab import metrics
 from motionlab.footage.scene_fit import USED, SceneFit
 from motionlab.humor import body_shape
 from motionlab.humor.evidence import FEET_SEEN, feet_seen
@@ -36,7 +33,6 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
     """
     motion, shown, seen = fitted.motions[k], fitted.shown[k], weight > 0
     rms, latent_chi2 = float(away[seen].square().mean().sqrt()), float(fitted.latent_chi2[k])
-    contacts = motion.contacts[shown].mean(0).tolist()
     return {
         "id": each,
         "share": float(shown.float().mean()),
@@ -50,8 +46,6 @@ def person_row(k: int, each: int, fitted: SceneFit, away: Tensor, weight: Tensor
         "latent_chi2": latent_chi2 if np.isfinite(latent_chi2) else None,
         "doubtful": not (latent_chi2 <= MAX_LATENT_CHI2 and rms <= MISFIT_WIDTH * fitted.camera.width),
         "bounds": {"latent_chi2": MAX_LATENT_CHI2, "rms": MISFIT_WIDTH * fitted.camera.width},
-        "acceleration": float(metrics.mean_acceleration(motion.positions, motion.fps)) if motion.frames > 2 else None,
-        "contacts": dict(zip(motion.skeleton.contact_names, contacts, strict=True)),
         "contacts_by_time": {name: _spans(motion.contacts[:, n] > 0.5, motion.fps)
                              for n, name in enumerate(motion.skeleton.contact_names) if name in FEET},
         "feet_above_floor_cm": 100 * float(above_floor(motion.positions[shown])),
@@ -68,20 +62,14 @@ def _spans(mask: Tensor, fps: float) -> list[list[float]]:
 def lines(record: Record) -> list[str]:
     """Returns what a terminal shows of a record of ``fit.run_clip``."""
     said = [f"note: {note}" for note in record["notes"]]
-    energy = {name: sum(values) for name, values in record["energy"].items()}
-    terms = sorted(energy.items(), key=lambda item: -item[1])[:4]
-    said += [
-        f"energy: {sum(energy.values()):.1f} ({', '.join(f'{name} {value:.1f}' for name, value in terms)})",
-        f"search ended: {_runs(record['ended'])}" + (" (stopped: the best so far)" if record["stopped"] else ""),
-        f"camera {record['camera']['source']}; {_moving(record)}",
-    ]
+    said += ["stopped: the best so far"] * record["stopped"]
+    said.append(f"camera {record['camera']['source']}; {_moving(record)}")
     for row in record["people"]:
         facts = "; ".join(f"{key} {text}" for key, text in _facts(row).items())
         said += [
             f"person {row['id']}: in {100 * row['share']:.0f} % of the frames; {facts}",
             f"  {_doubt(row)}",
             *(f"  {text}" for text in (*not_known(row), *row.get("open", ()))),
-            "  contacts: " + ", ".join(f"{n.replace('_', ' ')} {100 * c:.0f} %" for n, c in row["contacts"].items()),
             f"  AMASS: {row['amass']['says']}",
         ]
     return said
@@ -124,13 +112,7 @@ def _moving(record: Record) -> str:
     return f"{said}and does not: {off}"
 
 
-def _runs(words: Sequence[str]) -> str:
-    """Words in a row, each run of the same once with its length: "steps, closures (9)"."""
-    counts = [(word, len(list(same))) for word, same in groupby(words)]
-    return ", ".join(f"{word} ({n})" if n > 1 else word for word, n in counts)
-
-
-def page(record: Record, poster: bytes = b"") -> str:
+def page(record: Record) -> str:
     """Returns the report of a record as one page, which plays ``overlay.mp4`` beside it."""
     values = [value for row in record["people"] for value in row["pixels"]["by_time"] if value is not None]
     people = []
@@ -139,16 +121,14 @@ def page(record: Record, poster: bytes = b"") -> str:
         people.append(row | said | {"ink": ROLE[PEOPLE[k % len(PEOPLE)]]})
     return _PAGE.render(
         name=Path((record["footage"] or record["keypoints"])["path"]).name, record=record, people=people,
-        moving=_moving(record), ended=_runs(record["ended"]), poster=base64.b64encode(poster).decode(),
-        top=max(values, default=1.0) or 1.0, last=max(1, len(record["people"][0]["pixels"]["by_time"]) - 1),
+        moving=_moving(record), top=max(values, default=1.0) or 1.0,
+        last=max(1, len(record["people"][0]["pixels"]["by_time"]) - 1),
         strips=[(row, name, spans) for row in people for name, spans in row["contacts_by_time"].items()],
     )  # fmt: skip
 
 
 def _facts(row: Record) -> dict[str, str]:
-    moves = "unknown" if row["acceleration"] is None else f"{row['acceleration']:.2f} m/s^2"
     return {
         "detected": f"{100 * row['detected']:.0f} % of the keypoints",
         "reprojection": f"{row['pixels']['mean']:.1f} px mean, {row['pixels']['median']:.1f} px median",
-        "acceleration": f"{moves}, mean over joints and frames",
     }

@@ -8,13 +8,14 @@ the files seen so far have |k1| < 0.05, which moves a point by at most a few pix
 import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from kornia.geometry.calibration import distort_points
+from kornia.geometry.calibration import distort_points, undistort_points
 
 from motionlab.errors import DataError
 from motionlab.io.judging import axes_to_matrix
@@ -84,16 +85,13 @@ def load_camera(
     """
     with reading(path, _REMEDY) as at:
         found = _tables(at)
-        if name is None and len(found) > 1 and views is not None and (number := re.search(r"\d+", Path(views).name)):
-            last = {key: re.findall(r"\d+", key)[-1:] for key in found}
-            names = [key for key, digits in last.items() if [*map(int, digits)] == [int(number[0])]]
-            name = names[0] if len(names) == 1 else None
-        if name is None and len(found) == 1:
-            (name,) = found
-        if name not in found:
+        number = re.search(r"\d+", Path(views or "").name)
+        told = [key for key in found if number and [*map(int, re.findall(r"\d+", key)[-1:])] == [int(number[0])]]
+        names = [name] if name is not None else told if len(found) > 1 else [*found]
+        if len(names) != 1 or names[0] not in found:
             what = "which of its cameras" if name is None else f"no camera {name!r}; there are"
             raise at.error(f"{what}: {', '.join(found)}", remedy="name it (--camera-name)")
-        return _camera(at, name, found[name], size)
+        return _camera(at, names[0], found[names[0]], size)
 
 
 def load_cameras(path: str | Path) -> dict[str, Camera]:
@@ -105,8 +103,7 @@ def load_cameras(path: str | Path) -> dict[str, Camera]:
 def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None = None) -> tuple[Camera, bool]:
     """A camera of a table, if it can be one, and whether its place is known."""
     where = "" if name == "camera" else f"camera {name}, "  # the only one, without a name
-    if size is not None and not table.keys() & {"width", "height"}:
-        table = table | {"width": size[0], "height": size[1]}
+    table = dict(zip(("width", "height"), size or (), strict=False)) | table
     placed = bool(table.keys() & {"rotation", "translation"})
     needed = ["intrinsics", *(["rotation", "translation"] if placed else []), "width", "height"]
     if missing := [key for key in needed if key not in table]:
@@ -115,12 +112,10 @@ def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None 
         raise at.error("a fisheye lens", place="lens", remedy="undistort the footage (cv2.fisheye), and give that")
     width, height = (int(x) for x in image_size(at, [table["width"], table["height"]], where + "width, height"))
     k = checked_array(at, table["intrinsics"], "3 3", where + "intrinsics")
-    turn, shift = np.eye(3), np.zeros(3)
-    if placed:
-        turn = np.ravel(table["rotation"])
-        turn = checked_array(at, turn, "3" if len(turn) == 3 else "9", where + "rotation")
-        turn = exp(torch.from_numpy(turn)).numpy() if len(turn) == 3 else turn.reshape(3, 3)
-        shift = checked_array(at, np.ravel(table["translation"]), "3", where + "translation")
+    turn = np.ravel(table.get("rotation", np.eye(3)))
+    turn = checked_array(at, turn, "3" if len(turn) == 3 else "9", where + "rotation")
+    turn = exp(torch.from_numpy(turn)).numpy() if len(turn) == 3 else turn.reshape(3, 3)
+    shift = checked_array(at, np.ravel(table.get("translation", np.zeros(3))), "3", where + "translation")
     if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
         raise at.error(f"expected a rotation matrix, got {turn.tolist()}", place=where + "rotation")
     lens = checked_array(at, [*np.ravel(table.get("distortion", ())), 0.0], "N", where + "distortion").tolist()[:-1]
@@ -130,7 +125,7 @@ def _camera(at: Location, name: str, table: Table, size: tuple[int, int] | None 
     _check_pixels(at, k, width, height)
     tensors = (torch.from_numpy(each).float() for each in (k, turn, shift))
     camera = Camera(*tensors, width, height, tuple(lens[:8]) if any(lens) else ())
-    if placed and (far := float(camera.centre.norm())) > _FAR:
+    if (far := float(camera.centre.norm())) > _FAR:
         raise at.error(f"stands {far:.4g} m from the origin", place=where + "translation", remedy="give it in metres")
     return camera, placed
 
@@ -171,42 +166,37 @@ def for_images(camera: Camera, size: tuple[int, int], path: Path) -> tuple[Camer
 
 def distorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     """Computes where the camera's lens puts what a pinhole would put at pixels (..., 2)."""
-    lens = torch.zeros(8, dtype=torch.float64)
-    lens[: len(camera.distortion)] = torch.tensor(camera.distortion, dtype=torch.float64)
-    points = torch.from_numpy(pixels).double()
-    return distort_points(points.reshape(-1, 2), camera.intrinsics.double(), lens).reshape(points.shape).numpy()
+    return _through_lens(distort_points, pixels, camera)
 
 
 def undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     """Computes where a pinhole would put what the camera's lens put at pixels (..., 2); NaN where nothing comes there.
 
-    By fixed-point steps, from the point itself, each as far as it brings the point nearer.
+    By fixed-point steps, from the point itself, as OpenCV does.
     """
-    found, step = pixels.astype(float), np.ones(pixels.shape[:-1])
-    with np.errstate(over="ignore", invalid="ignore"):
-        miss = pixels - distorted(found, camera)
-        for _ in range(_ROUNDS):
-            tried = found + step[..., None] * miss
-            now = pixels - distorted(tried, camera)
-            nearer = np.linalg.norm(now, axis=-1) < np.linalg.norm(miss, axis=-1)
-            found, miss = (np.where(nearer[..., None], new, old) for new, old in ((tried, found), (now, miss)))
-            step = np.where(nearer, np.minimum(2 * step, 1), step / 2)
-    return np.where(np.linalg.norm(miss, axis=-1, keepdims=True) < _EXACT, found, np.nan)
+    found = _through_lens(undistort_points, pixels, camera, num_iters=_ROUNDS)
+    miss = np.linalg.norm(pixels - distorted(found, camera), axis=-1, keepdims=True)
+    return np.where(miss < _EXACT, found, np.nan)
+
+
+def _through_lens(way: Callable, pixels: np.ndarray, camera: Camera, **how) -> np.ndarray:
+    lens = torch.tensor([*camera.distortion, *[0.0] * 8][:8], dtype=torch.float64)
+    points = torch.from_numpy(pixels).double()
+    return way(points.reshape(-1, 2), camera.intrinsics.double(), lens, **how).reshape(points.shape).numpy()
 
 
 def straight(pictures: Iterable[np.ndarray], camera: Camera) -> Iterator[np.ndarray]:
     """Yields pictures (H, W, 3) as a pinhole would have taken them, by the nearest pixel; black where there is none."""
     at = None
     for picture in pictures:
-        high, wide = picture.shape[:2]
-        if at is None or at[0].shape != (high, wide):
-            scale = np.array([camera.width / wide, camera.height / high])
-            there = np.stack(np.meshgrid(np.arange(wide), np.arange(high)), -1)
-            from_ = np.nan_to_num(distorted(there * scale, camera) / scale, nan=-1.0, posinf=-1.0, neginf=-1.0)
-            x, y = from_.round().clip(-1, max(high, wide)).astype(int).transpose(2, 0, 1)
-            inside = (x >= 0) & (x < wide) & (y >= 0) & (y < high)
-            at = inside, y.clip(0, high - 1), x.clip(0, wide - 1)
-        yield np.where(at[0][..., None], picture[at[1], at[2]], np.uint8(0))
+        if at is None:
+            size = np.array(picture.shape[1::-1])
+            scale = np.array([camera.width, camera.height]) / size
+            there = np.stack(np.meshgrid(*map(np.arange, size)), -1)
+            from_ = (distorted(there * scale, camera) / scale).round()
+            inside = ((from_ >= 0) & (from_ < size)).all(-1, keepdims=True)
+            at = np.where(inside, from_, -1).astype(int)  # the black border
+        yield np.pad(picture, ((0, 1), (0, 1), (0, 0)))[at[..., 1], at[..., 0]]
 
 
 def _tables(at: Location) -> dict[str, Table]:
@@ -223,8 +213,7 @@ def _tables(at: Location) -> dict[str, Table]:
     elif re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
         found = _colmap(at)
     elif suffix == ".toml" or re.match(rb"(#.*\n|\s)*\[[\w\"'.-]+\]\s", head):
-        tables = tomllib.loads(read_text(at))
-        found = {str(table.get("name") or key): known for key, table in tables.items() if (known := _known(table))}
+        found = _of_json(tomllib.loads(read_text(at)))
     else:
         raise at.error("no calibration of a known kind")
     if not found:
@@ -237,8 +226,8 @@ def _known(table: object) -> Table:
     if not isinstance(table, dict):
         return {}
     lower = {str(key).lower(): _matrix(value) for key, value in table.items()}
-    found = {word: next((lower[name] for name in names if name in lower), None) for word, names in WORDS.items()}
-    found = {word: value for word, value in found.items() if value is not None}
+    known = ((word, lower.get(name)) for word, names in WORDS.items() for name in reversed(names))  # the first counts
+    found = {word: value for word, value in known if value is not None}
     if isinstance(pair := found.pop("size", None), list) and len(pair) == 2:
         found = {"width": pair[0], "height": pair[1]} | found
     tells = (f"{key} {value}".lower() for key, value in lower.items() if _TELLS.search(key))
@@ -271,10 +260,10 @@ def _of_json(document: object) -> dict[str, Table]:
     """One camera, a list of some, or some by name; as they stand where nothing in them is known."""
     inner = document.get("cameras", document) if isinstance(document, dict) else document
     if isinstance(inner, list):
-        inner = {str(one.get("name", n)) if isinstance(one, dict) else str(n): one for n, one in enumerate(inner)}
+        inner = {str(n): one for n, one in enumerate(inner)}
     if found := _named(inner):
         return found
-    found = {str(name): known for name, one in inner.items() if (known := _known(one))}
+    found = {str(one.get("name") or name): known for name, one in inner.items() if (known := _known(one))}
     return found or {"camera": {word: inner[word] for word in WORDS if word in inner}}
 
 
@@ -286,12 +275,8 @@ def _xml(at: Location) -> ElementTree.Element:
 
 
 def _opencv_xml(at: Location) -> dict[str, Table]:
-    found = {}
-    for node in _xml(at):
-        parts = {part.tag: (part.text or "").split() for part in node}
-        if not parts or {"rows", "cols", "data"} <= parts.keys():
-            found[node.tag] = parts or _value((node.text or "").strip())
-    return _named(found)
+    nodes = ((node, {part.tag: (part.text or "").split() for part in node}) for node in _xml(at))
+    return _named({node.tag: parts or _value((node.text or "").strip()) for node, parts in nodes})
 
 
 def _yaml(text: str) -> dict[str, object]:
@@ -311,10 +296,9 @@ def _yaml(text: str) -> dict[str, object]:
 
 
 def _value(text: str) -> object:
-    try:
+    with suppress(ValueError):
         return float(text)
-    except ValueError:
-        return text
+    return text
 
 
 def _easymocap(at: Location) -> dict[str, Table]:
@@ -375,9 +359,8 @@ def _captury(at: Location) -> dict[str, Table]:
     """
     found, upright = {}, axes_to_matrix("x-zy").numpy()
     for index, block in enumerate(re.split(r"^camera\b", read_text(at), flags=re.MULTILINE)[1:]):
-        said, values = {}, []
-        for word, *words in filter(None, (line.partition("#")[0].split() for line in block.splitlines())):
-            said.setdefault(word, words)
+        rows, values = (line.partition("#")[0].split() for line in reversed(block.splitlines())), []
+        said = {row[0]: row[1:] for row in rows if row}  # the first counts
         for key, count in _CAPTURY.items():
             at.place = f"camera {index}, {key}"
             values.append(checked_array(at, [float(word) for word in said.get(key, ())], str(count)))

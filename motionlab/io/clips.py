@@ -105,14 +105,12 @@ def load_deepmimic(path: str | Path) -> Motion:
 def _frame_rate(at: Location, durations: np.ndarray) -> tuple[float, np.ndarray]:
     """Frames per second, and the time of every frame in units of one frame."""
     inner = durations[:-1] if len(durations) > 1 else durations
-    if inner.min() <= 0:
-        i = int((inner <= 0).argmax())
-        raise at.error(f"lasts {inner[i]} s; only the last frame may last 0", place=f"frame {i}")
     typical = float(np.sort(inner)[(len(inner) - 1) // 2])  # the lower median is a duration that occurs
+    odd = int(inner.argmin() if inner.min() <= 0 else inner.argmax())
+    if not 0 < inner[odd] <= 100 * typical:
+        message = f"lasts {inner[odd]} s, the typical frame {typical} s; only the last frame may last 0"
+        raise at.error(message, place=f"frame {odd}")
     times = np.concatenate(([0.0], np.cumsum(inner)))[: len(durations)] / typical
-    if times[-1] > 100 * len(durations):
-        i = int(inner.argmax())
-        raise at.error(f"lasts {inner[i]} s, the typical frame {typical} s", place=f"frame {i}")
     whole = round(1 / typical)  # durations are printed with six digits: 0.033332 is 1/30
     return frame_rate(at, float(whole) if abs(typical * whole - 1) < 1e-3 else 1 / typical, "frame 0"), times
 

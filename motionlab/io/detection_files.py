@@ -3,7 +3,7 @@ npz of our own."""
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import partial
 
 import numpy as np
@@ -174,8 +174,7 @@ def from_npz(at: Location) -> Detections:
         remedy = f"unpack it, if it is a folder's archive, and name the folder; else {detections.PLAIN}"
         raise at.error("the key keypoints is missing", place="keys", remedy=remedy)
     array = arrays["keypoints"]
-    points = pixels(at, array, "T P K D" if array.ndim == 4 else "T K D", "keypoints")
-    points = points if array.ndim == 4 else points[:, None]
+    points = pixels(at, array[:, None] if array.ndim == 3 else array, "T P K D", "keypoints")
     *lead, axes = points.shape
     if axes not in (2, 3):
         raise at.error(f"expected x, y and confidence, got {axes} numbers a point", place="keypoints")
@@ -229,7 +228,7 @@ def from_json(at: Location, document: object) -> Detections:
     return _landmarks(at, document)
 
 
-def _person(at: Location, one: object, about: str = "", *, needed: bool = False) -> detections.Sighting:
+def _person(at: Location, one: object, *, needed: bool = False) -> detections.Sighting:
     """A flat list x, y, confidence, x, ...; or rows of coordinates, or x and y apart, with the scores beside them.
 
     No points, or an empty list, is somebody who was not found. needed: the key of the points has to be there.
@@ -244,7 +243,7 @@ def _person(at: Location, one: object, about: str = "", *, needed: bool = False)
     elif isinstance(values, list) and values and isinstance(values[0], list):  # MMPose
         xy = pixels(at, values, "K D")
         if xy.shape[1] != 2:
-            raise at.error(f"{xy.shape[1]} coordinates a point{about}: 3-D", remedy="give the 2-D detector's file")
+            raise at.error(f"{xy.shape[1]} coordinates a point: 3-D", remedy="give the 2-D detector's file")
         points = detections.with_scores(at, xy, one.get("keypoint_scores"))
     elif values is not None or key == "keypoints":
         if not isinstance(values, list) or len(values) % 3:
@@ -273,17 +272,15 @@ def _mmpose(at: Location, document: dict | list) -> Detections:
     if not any("instances" in frame for frame in frames):
         frames = [{"instances": frames}]  # one image
     people = ((whole_number(frame.get("frame_id", n)), frame["instances"]) for n, frame in enumerate(frames))
-    read = partial(_person, at, about=f" (data set {meta.get('dataset_name', 'not named')})", needed=True)
     names = point_names(at, meta.get("keypoint_id2name"))
-    return detections.collect(at, "MMPose", people, read, names=names, lowest=_MMPOSE)
+    return detections.collect(at, "MMPose", people, partial(_person, at, needed=True), names=names, lowest=_MMPOSE)
 
 
 def _of_images(at: Location, images: dict[object, Iterable], *, alphapose: bool) -> Detections:
     """AlphaPose and COCO results: people by image, whose order is the number at the end of its name, or the file's."""
-    order = {}
-    for image in images:
-        tail = re.search(r"(\d{1,19})(?:_keypoints)?(?:\.\w{1,5})?$", image) if isinstance(image, str) else None
-        order[image] = int(tail[1]) if tail else whole_number(image)
+    number = re.compile(r"(\d{1,19})(?:_keypoints)?(?:\.\w{1,5})?$")
+    tails = {image: number.search(image) if isinstance(image, str) else None for image in images}
+    order = {image: int(tail[1]) if tail else whole_number(image) for image, tail in tails.items()}
     more: dict[str, object] = {"loose": True}
     if None in order.values():
         order = {image: n for n, image in enumerate(images)}
@@ -315,7 +312,7 @@ def _landmarks(at: Location, document: object) -> Detections:
     seen = []
     for number, frame in zip(range(len(frames)) if None in given else given, frames, strict=True):
         at.place = f"frame {number}"
-        seen.append((number, [(_by_name(at, body), name) for body, name in _bodies(at, frame)]))
+        seen.append((number, [*_bodies(at, frame)]))
     found = detections.collect_named(at, "named points", seen, **stated(at, document, *frames[:1]))
     found.detector = "MoveNet" if found.names == detections.COCO_17 else found.detector
     return found
@@ -329,21 +326,21 @@ def _is_body(value: object) -> bool:
     return isinstance(one, list) and len(one) in (2, 3, 4) and all(isinstance(x, int | float) for x in one)
 
 
-def _bodies(at: Location, value: object) -> list[tuple[dict | list, int | None]]:
+def _bodies(at: Location, value: object, name: int | None = None) -> Iterator[tuple[dict[str, tuple], int | None]]:
     """Everybody's points in what stands for a frame or for people, with their ids."""
-    if isinstance(value, dict):
-        inner = first_of(value, _IMAGE)
-        if inner is not None:
-            mine = whole_number(first_of(value, detections.ID))
-            return [(body, mine if name is None else name) for body, name in _bodies(at, inner)]
-        if first_of(value, _WORLD) is not None:
-            raise at.error("world landmarks alone: 3-D, in metres", remedy="save the image landmarks (pose_landmarks)")
-        return [(value, None)] if value else []
-    if _is_body(value):
-        return [(value, None)]
-    if not isinstance(value, list | None):
+    table = isinstance(value, dict)
+    if table and (inner := first_of(value, _IMAGE)) is not None:
+        mine = whole_number(first_of(value, detections.ID))
+        yield from _bodies(at, inner, name if mine is None else mine)
+    elif table and first_of(value, _WORLD) is not None:
+        raise at.error("world landmarks alone: 3-D, in metres", remedy="save the image landmarks (pose_landmarks)")
+    elif value and (table or _is_body(value)):
+        yield _by_name(at, value), name
+    elif isinstance(value, list | dict | None):
+        for one in value or []:
+            yield from _bodies(at, one, name)
+    else:
         raise detections.unknown(at)
-    return [body for one in value or [] for body in _bodies(at, one)]
 
 
 def _by_name(at: Location, body: dict | list) -> dict[str, tuple]:

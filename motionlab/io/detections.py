@@ -30,7 +30,7 @@ PLAIN = "save it with numpy.savez(path, keypoints=(frames, people, joints, 3), n
 SCORES = ("score", "confidence", "visibility", "visible", "conf", "likelihood", "c", "v")
 FRAME = ("frame", "frame_id", "frame_number", "frame_idx", "frame_index")
 ID = ("id", "track_id", "person_id", "track")
-MOST_FRAMES, _MOST_POINTS = 200_000, 200  # frame numbers that span more, and more points of a person, are a mistake
+MOST_FRAMES, _MOST_POINTS = 200_000, 200  # frame numbers that span more, and more names of points, are a mistake
 _FORMATS = "OpenPose, MMPose, AlphaPose, COCO results, Ultralytics, MediaPipe, MoveNet, ViTPose, Sports2D and CSV"
 _MEDIAPIPE = 0.5  # from this score on it draws a point
 Sighting = tuple[np.ndarray, "int | None"]  # points (K, 3): x, y, confidence; the file's id
@@ -77,24 +77,22 @@ def names_of(at: Location, people: np.ndarray, layout: str | None = None) -> tup
 
     layout: of ``LAYOUTS``; then its names, if it fits.
     """
-    layout, count = layout or _detect_layout(people), people.shape[1]
-    names = LAYOUTS.get(layout or "", ())
-    if len(names) != count:
+    fit = {known: names for known, names in LAYOUTS.items() if len(names) == people.shape[1]}
+    if layout is None:
+        layout = _by_face(people) if "BODY_25" in fit else next(iter(fit), None)
+    if layout not in fit:
         message = f"layout {layout} does not fit" if layout else "the layout cannot be told from"
-        fit = ", ".join(known for known, names in LAYOUTS.items() if len(names) == count)
-        remedy = f"pass layout=, or --layout: {fit}" if fit else "none has so many: save keypoints, names, fps as npz"
-        raise at.error(f"{message} {count} keypoints", place="", remedy=remedy)
-    return names
+        remedy = f"pass layout=, or --layout: {', '.join(fit)}" if fit else f"none has so many: {PLAIN}"
+        raise at.error(f"{message} {people.shape[1]} keypoints", place="", remedy=remedy)
+    return fit[layout]
 
 
-def _detect_layout(people: np.ndarray) -> str | None:
-    """Layout of people (N, K, 3) by the number of keypoints; None where it cannot be told.
+def _by_face(people: np.ndarray) -> str | None:
+    """Layout of people (N, 25, 3); None where it cannot be told.
 
-    BODY_25 and BODY_25B both have 25. Eyes and ears tell them apart: they are points 15 to 18 of BODY_25 and
-    points 1 to 4 of BODY_25B, so the four that lie closer to the nose decide, by majority over the people.
+    Eyes and ears tell BODY_25 and BODY_25B apart: they are points 15 to 18 of BODY_25 and points 1 to 4 of BODY_25B, so
+    the four that lie closer to the nose decide, by majority over the people.
     """
-    if people.shape[1] != len(BODY_25):
-        return next((layout for layout, names in LAYOUTS.items() if len(names) == people.shape[1]), None)
     seen = people[..., 2] > 0
     distance = np.where(seen, np.linalg.norm(people[..., :2] - people[:, :1, :2], axis=-1), np.nan)
     both = seen[:, 0] & (seen[:, 1:5].sum(-1) >= 2) & (seen[:, 15:19].sum(-1) >= 2)
@@ -192,7 +190,7 @@ def unknown(at: Location) -> DataError:
 
 
 def collect(at: Location, detector: str, frames: Iterable[tuple[int, Iterable]], read: Callable, **more) -> Detections:
-    """Reads (frame number, people) pairs, a person at a time; who has no points at all becomes a row of zeros."""
+    """Reads (frame number, people) pairs, a person at a time; who has no points at all was not found."""
     found = Detections(detector, {}, **more)
     for number, people in frames:
         seen = []
@@ -202,13 +200,7 @@ def collect(at: Location, detector: str, frames: Iterable[tuple[int, Iterable]],
         if number is None or number in found.frames:
             what = "its number is no frame's" if number is None else f"frame {number} is there twice"
             raise at.error(what, place=f"frame {len(found.frames)}")
-        counts = {len(points) for points, _ in seen if len(points)}
-        if len(counts) > 1:
-            raise at.error("people have different numbers of keypoints")
-        if max(counts, default=0) > _MOST_POINTS:
-            raise at.error(f"{max(counts)} keypoints of one person")
-        blank = np.zeros((*counts, 3)) if counts else None
-        found.frames[number] = [(points if len(points) else blank, name) for points, name in seen if counts]
+        found.frames[number] = [(points, name) for points, name in seen if len(points)]
     return found
 
 
@@ -222,13 +214,12 @@ def collect_named(at: Location, detector: str, seen: list[tuple[int, list]], **m
     if len(keys) > _MOST_POINTS:
         raise at.error(f"{len(keys)} different keypoints")
     if all(re.fullmatch(r"\d{1,3}", key) for key in keys):
-        names, places = None, {key: int(key) for key in keys}
-        count = 1 + max(places.values(), default=-1)
+        names, order = None, [int(key) for key in keys]
     else:
-        known = dict(zip(keys, point_names(at, keys), strict=True))
-        layouts = (names for names in (COCO_17, MEDIAPIPE_33) if set(known.values()) <= set(names))
-        names = next(layouts, tuple(known.values()))
-        places, count = {key: names.index(name) for key, name in known.items()}, len(names)
+        known = point_names(at, keys)
+        names = next((names for names in (COCO_17, MEDIAPIPE_33) if {*known} <= {*names}), known)
+        order = [names.index(name) for name in known]
+    places, count = dict(zip(keys, order, strict=True)), len(names) if names else 1 + max(order, default=-1)
 
     def read(person: tuple[dict, int | None]) -> Sighting:
         row = np.full((count, 3), np.nan)

@@ -13,7 +13,7 @@ Sports2D's TRC in pixels; a file, or one per frame in a folder. What else you ha
 A point that is NaN, at (0, 0), of confidence 0 or not there was not seen.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -24,7 +24,7 @@ import torch
 from motionlab.errors import DataError
 from motionlab.io import tracking, video
 from motionlab.io.detection_files import from_json, from_lines, from_npz, from_trc
-from motionlab.io.detections import MOST_FRAMES, PLAIN, Detections, Sighting, from_folder, names_of
+from motionlab.io.detections import MOST_FRAMES, PLAIN, Detections, from_folder, names_of
 from motionlab.io.reading import LARGEST, Location, frame_rate, image_size, read_json, read_text, reading
 from motionlab.io.video import Video
 from motionlab.observation import Observation2D
@@ -42,14 +42,12 @@ _GAP = 0.5  # seconds for which a person may vanish and still be the same one
 class Person:
     """One person of a film: the file's id or a number of ours, the frames (N,) in which they were seen, their points.
 
-    frames count from the first frame of the film; points (N, K, 3): x, y in pixels, confidence, 0 where not seen. also:
-    other ids of the file that are this person's.
+    frames count from the first frame of the film; points (N, K, 3): x, y in pixels, confidence, 0 where not seen.
     """
 
     id: int
     frames: np.ndarray
     points: np.ndarray
-    also: tuple[int, ...] = ()
 
     @property
     def height(self) -> float:
@@ -95,12 +93,10 @@ class Footage:
         if words == ["all"]:
             least = min(self.fps, self.frames / 2)  # a second, or half of a shorter clip
             return [track for track in self.tracks if len(track.frames) >= least] or [self.tracks[0]]
-        known = {str(each): track for track in self.tracks for each in (*track.also, track.id)}
-        if len(words) == 1:
-            largest = max(self.tracks, key=lambda track: track.height)
-            known |= {"longest": self.tracks[0], "largest": largest}
+        known = {str(track.id): track for track in self.tracks}
+        remedy = f"use longest, largest, all or some of {', '.join([*known][:20])}"
+        known |= {"longest": self.tracks[0], "largest": max(self.tracks, key=lambda track: track.height)}
         if wrong := [word for word in words if word not in known] or [""] * (not words):
-            remedy = f"use longest, largest, all or some of {', '.join([*known][:20])}"
             raise self._error(f"nobody has the id {', '.join(wrong)}", remedy)
         return list(dict.fromkeys(known[word] for word in words))
 
@@ -125,14 +121,14 @@ class Footage:
         name = f"{self.path.name} from frame {self.first}"
         return Observation2D(table[..., :2], table[..., 2], self.names, self.fps, name=name)
 
-    def of(self, tracks: Sequence[Person]) -> Self:
-        """Returns the footage with other tracks, but for frames and people of whom nothing was seen.
+    def of(self, points: Iterable[np.ndarray]) -> Self:
+        """Returns the footage with other points of its people, but for frames and people of whom nothing was seen.
 
         Raises:
             DataError: nothing was seen of anybody.
         """
-        there = [(track, (track.points[..., 2] > 0).any(-1)) for track in tracks]
-        kept = [replace(track, frames=track.frames[on], points=track.points[on]) for track, on in there if on.any()]
+        there = [(track, new, (new[..., 2] > 0).any(-1)) for track, new in zip(self.tracks, points, strict=True)]
+        kept = [replace(track, frames=track.frames[on], points=new[on]) for track, new, on in there if on.any()]
         if not kept:
             raise self._error("nothing is left of anybody", "give the footage that the keypoints are of")
         return replace(self, tracks=tuple(sorted(kept, key=_longest)))
@@ -153,9 +149,8 @@ class Footage:
             return np.any([np.abs(points[..., axis] - place) < _ON for axis, place in borders], 0)
 
         inside = (np.where(outside(each.points)[..., None], np.float32(0), each.points) for each in self.tracks)
-        tracks = [replace(track, points=points) for track, points in zip(self.tracks, inside, strict=True)]
         said = "of the points lie on the very border of the image: they were outside, left out"
-        return self.of(tracks), [f"{outside(points).mean():.1%} {said}"]
+        return self.of(inside), [f"{outside(points).mean():.1%} {said}"]
 
     def _error(self, message: str, remedy: str) -> DataError:
         return DataError(message, path=self.path, place="people", remedy=remedy)
@@ -189,12 +184,25 @@ def load(
     """
     with reading(path, "give what a 2-D pose detector wrote: a file, or a folder with one file per frame") as at:
         found = from_folder(at, _read_file, ".json", ".txt") if at.path.is_dir() else _read_file(at)
-        found, frames = _in_order(at, found, fps, film)
-        size = image_size(at, size) if size is not None else found.size or (film and film.size)
-        if not any(frames):
+        if not any(found.frames.values()):
             raise at.error("nobody was detected in any frame", place="")
+        fps, given = found.fps if fps is None else frame_rate(at, fps, "fps"), sorted(found.frames)
+        known = None if film is None else film.numbers or film.frames
+        order, told, more = video.frames_of(given, fps=fps, film=known, loose=found.loose)
+        rate = fps or told or (film and film.fps)
+        if rate is None:
+            raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
+        if order[-1] - order[0] >= MOST_FRAMES:
+            message = f"frame numbers run from {order[0]} to {order[-1]}"
+            raise at.error(message, place="", remedy="remove the stray file")
+        people = {n: found.frames[k] for n, k in zip(order, given, strict=True)}
+        count, *others = [(len(points), n) for n in order for points, _ in people[n]]
+        if other := next((each for each in others if each[0] != count[0]), None):
+            raise at.error(f"expected {count[0]} keypoints, got {other[0]}", place=f"frame {other[1]}")
+        frames = [people.get(n, []) for n in range(order[0], order[-1] + 1)]
+        size = image_size(at, size) if size is not None else found.size or (film and film.size)
         everybody = np.stack([points for people in frames for points, _ in people]).astype(np.float32)
-        notes = [*found.notes, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
+        notes = [*found.notes, *more, *_calibrate(at, everybody, size, found.lowest if lowest is None else lowest)]
         if not (everybody[..., 2] > 0).any():
             raise at.error("nobody was detected in any frame: no point is sure enough", place="")
         names = found.names if layout is None and found.names else names_of(at, everybody, layout)
@@ -202,11 +210,10 @@ def load(
             raise at.error(f"{len(names)} names for {everybody.shape[1]} keypoints", place="names")
         ids = [[name for _, name in people] for people in frames]
         frames = np.split(everybody, np.cumsum([len(people) for people in frames])[:-1])
-        first, given = min(found.frames), sorted(found.frames)
-        stride = np.median(np.diff(given)) if len(given) > 1 else 1
-        gap = max(1, round(min(max(_GAP * found.fps, stride), len(frames))))
+        steps = np.diff(order)
+        gap = round(max(1, _GAP * rate, np.median(steps) if len(steps) else 1))
         tracks, more = _told_apart(frames, ids, gap=gap)
-        everything = (found.detector, names, found.fps, size, first, len(frames), (*notes, *more))
+        everything = (found.detector, names, rate, size, order[0], len(frames), (*notes, *more))
         return Footage(at.path, *everything, tuple(sorted(tracks, key=_longest)))
 
 
@@ -224,34 +231,6 @@ def _read_file(at: Location) -> Detections:
     return from_trc(at, text) if text.startswith("PathFileType") else from_lines(at, text)
 
 
-def _in_order(
-    at: Location, found: Detections, fps: float | None, film: Video | None
-) -> tuple[Detections, list[list[Sighting]]]:
-    """The same by frame, with its rate, and its people in a list from the first frame to the last.
-
-    Numbers that are times or those of any pictures become frames, and a note says so; a number without a frame shows
-    nobody.
-    """
-    if not found.frames:
-        raise at.error("holds no frames", place="")
-    fps = found.fps if fps is None else frame_rate(at, fps, "fps")
-    given = sorted(found.frames)
-    known = None if film is None else film.numbers or film.frames
-    order, told, notes = video.frames_of(given, fps=fps, film=known, loose=found.loose)
-    frames = {n: found.frames[k] for n, k in zip(order, given, strict=True)}
-    first, last = order[0], order[-1]
-    if last - first >= MOST_FRAMES:
-        raise at.error(f"frame numbers run from {first} to {last}", place="", remedy="remove the stray file")
-    count, *others = [(len(frames[n][0][0]), n) for n in order if frames[n]] or [(0, 0)]
-    if other := next((each for each in others if each[0] != count[0]), None):
-        raise at.error(f"expected {count[0]} keypoints, got {other[0]}", place=f"frame {other[1]}")
-    rate = fps or told or (film and film.fps)
-    if rate is None:
-        raise at.error("the file holds no frames per second", place="fps", remedy="pass fps=, or --fps")
-    found = replace(found, frames=frames, fps=rate, notes=[*found.notes, *notes])
-    return found, [frames.get(n, []) for n in range(first, last + 1)]
-
-
 def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | None, lowest: float) -> list[str]:
     """Brings people (N, K, 3) to pixels and confidences of 0..1, in place, 0 where not seen; says what it assumed."""
     notes, xy, score = [], people[..., :2], people[..., 2]
@@ -259,32 +238,27 @@ def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | Non
         score[:] = 1
         notes.append("the file has no confidences: every point in it counts 1")
     people[np.isnan(people).any(-1) | (xy == 0).all(-1) | (score == 0)] = 0
-    seen = score != 0
-    if not seen.any():
-        return notes
-    low, high = score[seen].min(), score[seen].max()
+    seen, low, high = score != 0, score.min(), score.max()
     if low < -1:
         score[seen] = 1 / (1 + np.exp(-np.clip(score[seen], -500, 500)))
         notes.append(f"scores from {low:.3g} to {high:.3g} are logits: taken through the logistic function")
     elif high == 2 and np.isin(score, (0, 1, 2)).all():
         notes.append("0, 1 and 2 are flags, not confidences: every labelled point counts 1")
-    elif high > _OVER:
-        scale = np.percentile(score[score > 0], 99)
-        score /= scale
-        notes.append(f"scores go up to {high:.3g}: divided by {scale:.3g}, which 99 % of them do not pass")
     elif high > 1:
-        notes.append(f"scores go up to {high:.3g}: those above 1 count 1")
+        scale = np.percentile(score[score > 0], 99) if high > _OVER else 1.0
+        score /= scale
+        said = f"divided by {scale:.3g}, which 99 % of them do not pass" if high > _OVER else "those above 1 count 1"
+        notes.append(f"scores go up to {high:.3g}: {said}")
     np.clip(score, 0, 1, out=score)
-    people[score == 0] = 0
     unsure = (score > 0) & (score < lowest)
     if unsure.any():
         notes.append(f"{unsure.sum() / seen.sum():.1%} of the points have a confidence below {lowest:g}: left out")
-        people[unsure] = 0
-    seen = score > 0
-    if seen.any() and (xy[seen] < 0).mean() > _NEGATIVE:
+    people[(score == 0) | unsure] = 0
+    there = xy[score > 0]
+    if len(there) and (there < 0).mean() > _NEGATIVE:
         message = "coordinates around zero are no place in an image, but 3-D (world landmarks in metres) or centred"
         raise at.error(message, place="coordinates", remedy="save the image's landmarks, in pixels or from 0 to 1")
-    if seen.any() and np.median(np.abs(xy[seen])) < _SHARE:
+    if len(there) and np.median(np.abs(there)) < _SHARE:
         if size is None:
             message = "coordinates are shares of an image whose size the file does not hold"
             raise at.error(message, place="size", remedy="pass size=(width, height), or --size")
@@ -295,31 +269,30 @@ def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | Non
 
 def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple[list[Person], list[str]]:
     """Tracks of frames of people (P, K, 3), and what is to be said of the file's ids (P)."""
-    shown = [np.flatnonzero((people[..., 2] > 0).any(-1)) if len(people) else () for people in frames]
+    shown = [np.flatnonzero((people[..., 2] > 0).any(-1)).tolist() for people in frames]
     notes: list[str] = []
-    also: dict[int, list[int]] = {}
-    named = tracking.by_id((n, int(k), ids[n][k]) for n, keys in enumerate(shown) for k in keys)
-    if named is None and any(name is not None for here in ids for name in here):
-        notes = ["the file's ids do not tell people apart: people are followed by where they are"]
-    if named is None and max(map(len, shown)) == 1:
-        named = {0: [(n, int(keys[0])) for n, keys in enumerate(shown) if len(keys)]}
-    if named is None:
-        named = dict(enumerate(tracking.join(frames, gap=gap)))
-    elif len(named) > 1:
+    named: dict[int, list[tuple[int, int]]] = {}
+    for n, keys in enumerate(shown):
+        for k in keys:
+            named.setdefault(ids[n][k], []).append((n, k))
+    if None not in named and all(len(dict(people)) == len(people) for people in named.values()):
         for name, same in tracking.continued(named, frames, gap=gap).items():
             if len(same) > 1:
                 notes.append(f"ids {_some(same)} are taken for one person, {name}: each begins where another ends")
                 named[name] = [pair for one in same for pair in named.pop(one)]
-                also[name] = same[1:]
+    else:
+        if any(name is not None for here in ids for name in here):
+            notes = ["the file's ids do not tell people apart: people are followed by where they are"]
+        alone = [(n, k) for n, keys in enumerate(shown) for k in keys]
+        named = dict(enumerate([alone] if max(map(len, shown)) == 1 else tracking.join(frames, gap=gap)))
     for name, others in tracking.twins(named, frames).items():
         notes.append(f"people {_some([name, *others])} lie on each other: taken for one, {name}")
         for other in others:
             named[name] = sorted({**dict(named.pop(other)), **dict(named[name])}.items())
-            also.setdefault(name, []).extend((other, *also.pop(other, ())))
     tracks = []
     for name, people in named.items():
         points = np.stack([frames[n][k] for n, k in people])
-        tracks.append(Person(name, np.array([n for n, _ in people]), points, tuple(also.get(name, ()))))
+        tracks.append(Person(name, np.array([n for n, _ in people]), points))
     return tracks, notes
 
 

@@ -48,10 +48,9 @@ class Video:
     @property
     def numbers(self) -> tuple[int, ...]:
         """What the images are numbered by, where that does not begin at 0 or 1 and leave none out; else nothing."""
-        found = tuple(_numbered(path)[0][-1:] for path in self.images)
-        flat = tuple(number for one in found for number in one)
+        flat = [number for path in self.images for number in _numbered(path)[0][-1:]]
         plain = not flat or (flat[0] <= 1 and flat[-1] - flat[0] == len(flat) - 1)
-        return () if plain or len(flat) < len(found) or [*flat] != sorted({*flat}) else flat
+        return () if plain or len(flat) < len(self.images) or flat != sorted({*flat}) else tuple(flat)
 
     def pictures(self, wanted: Sequence[int]) -> Iterator[np.ndarray]:
         """Returns pictures (H, W, 3) uint8 of frames in rising order, one after the other; past the end the last one.
@@ -85,8 +84,7 @@ def open_video(path: str | Path) -> Video:
             if not found:
                 raise at.error(f"0 images ({', '.join(PICTURES)}) in this folder")
             images = tuple(sorted(found, key=_numbered))
-            first = _image(images[0])
-            return Video(at.path, None, first.shape[1::-1], len(images), images)
+            return Video(at.path, None, _image(images[0]).shape[1::-1], len(images), images)
         if not at.path.stat().st_size:
             raise at.error("the file is empty")
         times, notes = _times(at)
@@ -166,35 +164,34 @@ def background_drift(pictures: Iterable[np.ndarray], boxes: Sequence[Sequence[Se
 
     Source: Kuglin and Hines 1975.
     """
-    small, steps, peaks, clear = [], [np.zeros(2)], [1.0], [False]
-    for k, picture in enumerate(pictures):
+    small, masks, steps, peaks, clear = [], [], [], [], []
+    for picture, people in zip(pictures, boxes, strict=False):
         high = max(8, round(_SMALL * picture.shape[0] / picture.shape[1]))
         grey = Image.fromarray(picture).convert("L").resize((_SMALL, high), Image.Resampling.BOX)
         small.append(np.asarray(grey, float) - gaussian_filter(np.asarray(grey, float), 4.0))
-        if k:
-            mask = np.ones(small[0].shape)
-            for n in (k - 1, k):
-                _leave_out(mask, boxes[n], picture.shape)
-            step, peak = _shift(small[k - 1], small[k], gaussian_filter(mask, 2.0) * mask)
-            steps.append(step), peaks.append(peak), clear.append(mask.mean() > _CLEAR)
-    away, found = np.zeros(2), []
-    for k, (step, peak) in enumerate(zip(steps, peaks, strict=True)):
-        beside = [peaks[n] for n in (k - 1, k + 1) if 0 < n < len(peaks)]
-        cut = clear[k] and peak < _WEAK and bool(beside) and min(beside) > max(_WEAK, 3 * peak)
-        told = peak >= _SURE and not cut
-        away = away + step if told else away
-        found.append(np.inf if cut else float(np.linalg.norm(away)) / _SMALL if told else np.nan)
-    return np.array(found)
+        masks.append(_background(people, picture.shape, small[-1].shape))
+    for k in range(1, len(small)):
+        mask = masks[k - 1] * masks[k]
+        step, peak = _shift(small[k - 1], small[k], gaussian_filter(mask, 2.0) * mask)
+        steps.append(step), peaks.append(peak), clear.append(mask.mean() > _CLEAR)
+    peaks = np.array(peaks)
+    around = np.pad(peaks, 1, constant_values=np.inf)
+    beside = np.minimum(around[:-2], around[2:])  # the lower neighbour
+    cut = np.array(clear, bool) & (peaks < _WEAK) & (beside > np.maximum(_WEAK, 3 * peaks)) & np.isfinite(beside)
+    told = (peaks >= _SURE) & ~cut
+    away = np.cumsum(np.where(told[:, None], np.reshape(steps, (-1, 2)), 0.0), 0)
+    off = np.where(told, np.linalg.norm(away, axis=-1) / _SMALL, np.nan)
+    return np.append(0.0, np.where(cut, np.inf, off))
 
 
-def _leave_out(mask: np.ndarray, boxes: Sequence[Sequence[float]], shape: tuple[int, ...]) -> None:
-    """Sets a mask to 0 in boxes that are a fifth larger on each side."""
-    boxes = np.reshape(boxes, (-1, 4)).astype(float)
-    boxes = boxes[np.isfinite(boxes).all(1)]
-    more, scale = 0.2 * (boxes[:, 2:] - boxes[:, :2]), (mask.shape[1] / shape[1], mask.shape[0] / shape[0])
+def _background(boxes: Sequence[Sequence[float]], shape: tuple[int, ...], small: tuple[int, int]) -> np.ndarray:
+    """A mask of a picture's smaller copy: 0 in boxes that are a fifth larger on each side."""
+    mask, boxes = np.ones(small), np.reshape(boxes, (-1, 4)).astype(float)
+    more, scale = 0.2 * (boxes[:, 2:] - boxes[:, :2]), (small[1] / shape[1], small[0] / shape[0])
     grown = np.hstack(((boxes[:, :2] - more) * scale, (boxes[:, 2:] + more) * scale + 1))
     for left, top, right, bottom in grown.clip(0).astype(int):
         mask[top:bottom, left:right] = 0
+    return mask
 
 
 def _shift(before: np.ndarray, after: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, float]:
@@ -227,10 +224,9 @@ def frames_of(
     step = float(np.median(steps))
     counts = np.maximum(np.round(steps / step), 1)
     exact = (last - first) / counts.sum()
-    rates = {name: unit / exact for name, unit in _UNITS.items()}
-    unit = next((name for name, rate in rates.items() if _RATES[0] <= rate <= _RATES[1]), None)
-    if unit is not None and len(steps) > 1 and _are_times(first, steps, step, counts, rates[unit], fps):
-        rate = rates[unit]
+    rates = ((name, a_second / exact) for name, a_second in _UNITS.items())
+    unit, rate = next((pair for pair in rates if _RATES[0] <= pair[1] <= _RATES[1]), ("", 0.0))
+    if unit and len(steps) > 1 and _are_times(first, steps, step, counts, rate, fps):
         if unit == "ms" and (steps == steps[0]).all():  # cut to whole ones
             rate = next((float(each) for each in RATES if 1e3 / (step + 1) < each <= rate), rate)
         told = "" if fps is None or abs(fps / rate - 1) < _NEAR else f", though {fps:g} a second were asked for"
