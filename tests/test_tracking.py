@@ -50,11 +50,22 @@ def test_who_leaves_and_returns_within_the_gap_is_the_same(away):
     assert len(tracks) == (2 if away <= 15 else 3) and all(len(row) == 1 for row in followed(tracks, truth))
 
 
-def test_who_gathers_speed_is_followed():
-    """To half of the own size a frame."""
-    frames, truth = listed([person(100 + 5 * n * n) for n in range(12)], [person(500, 900)] * 12)
+def test_fast_people_and_other_points_are_joined_by_their_boxes(monkeypatch):
+    """One gathers speed, to half of the own size a frame; of the other, half of the points are seen, then the rest."""
+    turns = [person(500, 900, slice(0, 8) if n == 0 else slice(8, 17)) for n in range(12)]
+    frames, truth = listed([person(100 + 5 * n * n) for n in range(12)], turns)
     tracks = tracking.join(frames, gap=3)
     assert followed(tracks, truth) == [[0], [1]] and [len(track) for track in tracks] == [12, 12]
+    monkeypatch.setattr(tracking, "_OVERLAP", 2.0)  # control: no box overlaps by so much
+    assert len(tracking.join(frames, gap=3)) > 6
+
+
+def test_control_without_distances_people_who_pass_are_taken_for_each_other(monkeypatch):
+    paths = [[person(300 + 4 * n) for n in range(20)], [person(340 - 4 * n, 302) for n in range(20)]]
+    frames, truth = listed(*paths, seed=2)
+    assert followed(tracking.join(frames, gap=5), truth) == [[0], [1]]
+    monkeypatch.setattr(tracking, "_distances", lambda tracks, people, frame: np.zeros((len(tracks), len(people))))
+    assert max(len(row) for row in followed(tracking.join(frames, gap=5), truth)) > 5
 
 
 def test_of_a_crowd_a_bounded_number_is_compared(monkeypatch):

@@ -1,4 +1,4 @@
-"""People through time: who of one frame is who of the next, by where their keypoints lie."""
+"""People through time: who of one frame is who of the next, by where their keypoints lie and their boxes overlap."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
@@ -7,6 +7,7 @@ import numpy as np
 
 _REACH = 0.3  # share of their own size by which a person may move between two sightings
 _SHARED = 3  # keypoints that two sightings must share before their distance says anything
+_OVERLAP = 0.4  # share of their union that boxes of one person may share
 _TWIN = 0.08  # share of their size by which two sightings in one frame may be apart and show one person
 _BODY = 33  # points that are compared: those of face and hands come after the body's in every layout, and follow it
 _MOST = 100  # people who are looked at in one frame, the largest first; twice as many may be missed at a time
@@ -21,37 +22,45 @@ class _Track:
     people: list[tuple[int, int]]
     last: np.ndarray  # (K, 3), every keypoint as last seen
     latest: np.ndarray  # (K, 3), the last sighting
-    step: np.ndarray = field(default_factory=lambda: np.zeros(3))  # x, y, 0: pixels from frame to frame
+    step: np.ndarray = field(default_factory=lambda: np.zeros(2))  # pixels by which they move from frame to frame
 
     def add(self, frame: int, index: int, person: np.ndarray) -> None:
         """Adds a sighting (K, 3) of a later frame."""
         both = (self.latest[:, 2] > 0) & (person[:, 2] > 0)
         if both.any() and self.people:
             moved = np.median(person[both, :2] - self.latest[both, :2], axis=0) / (frame - self.people[-1][0])
-            self.step[:2] = moved if len(self.people) == 1 else (self.step[:2] + moved) / 2
+            self.step = moved if len(self.people) == 1 else (self.step + moved) / 2
         self.people.append((frame, index))
         self.last, self.latest = np.where(person[:, 2:] > 0, person, self.last), person
+
+    def box(self, frame: int) -> np.ndarray:
+        """Returns the box (4,) of the last sighting, moved on to a frame at the pace so far."""
+        return _boxes(self.latest[None])[0] + np.tile(self.step * (frame - self.people[-1][0]), 2)
 
 
 def join(frames: list[np.ndarray], *, gap: int) -> list[list[tuple[int, int]]]:
     """Finds everybody's (frame, index) pairs through frames of people (P, K, 3): sightings that go on with each other,
-    see :func:`continued`. At most ``_MOST`` people of a frame are looked at."""
+    see :func:`continued`.
+
+    One that is left over there joins the track whose box, moved on at its pace, overlaps its own by ``_OVERLAP``: so
+    does who moved too fast, or shows other keypoints than before. At most ``_MOST`` people of a frame are looked at.
+    """
     sightings = {}
     for frame, people in enumerate(frames):
-        seen = np.flatnonzero((people[..., 2] > 0).any(-1))
+        seen = [k for k, person in enumerate(people) if (person[:, 2] > 0).any()]
         for k in sorted(sorted(seen, key=lambda k: -_extent(people[k]))[:_MOST]):
             sightings[frame, k] = [(frame, k)]
-    return [*continued(sightings, frames, gap=gap).values()]
+    return [*continued(sightings, frames, gap=gap, by_box=True).values()]
 
 
 def continued(
-    tracks: dict[Hashable, list[tuple[int, int]]], frames: list[np.ndarray], *, gap: int
+    tracks: dict[Hashable, list[tuple[int, int]]], frames: list[np.ndarray], *, gap: int, by_box: bool = False
 ) -> dict[Hashable, list[Hashable]]:
     """Finds which tracks, (frame, index) pairs by id, are one person: the first id of each person -> all of their ids.
 
-    One that begins within ``gap`` frames of another's end goes on with it, if it begins where that ended, or where that
-    would be at its pace: if the keypoints, as last seen, lie within ``_REACH`` of its size. At most twice ``_MOST``
-    people are waited for. The assignment is the best over all pairs (Hungarian method). Uses no randomness.
+    One that begins within ``gap`` frames of another's end goes on with it, if it begins where that ended: if the
+    keypoints, as last seen, lie within ``_REACH`` of its size; ``by_box``: or else the boxes do. Each assignment is the
+    best over all pairs (Hungarian method). Uses no randomness.
     """
     starts: dict[int, list] = {}
     for key, people in tracks.items():
@@ -59,18 +68,23 @@ def continued(
     everybody: list[_Track] = []
     alive: list[_Track] = []
     for frame in sorted(starts):
-        recent = (track for track in alive if frame - track.people[-1][0] <= gap)
-        alive = sorted(recent, key=lambda track: track.people[-1][0])[-2 * _MOST :]
-        people = {key: frames[frame][tracks[key][0][1]][:_BODY] for key in starts[frame]}
-        found = _assigned([track for track in alive if track.people[-1][0] < frame], people, frame)
-        for key, person in people.items():
+        alive = [track for track in alive if frame - track.people[-1][0] <= gap]
+        if by_box and len(alive) > 2 * _MOST:
+            alive = sorted(alive, key=lambda track: track.people[-1][0])[-2 * _MOST :]
+        free = {key: frames[frame][tracks[key][0][1]][:_BODY] for key in starts[frame]}
+        found: dict[Hashable, _Track] = {}
+        for costs, most in ((_distances, _REACH), (_apart, 1 - _OVERLAP))[: 1 + by_box]:
+            waiting = [track for track in alive if track.people[-1][0] < frame and track not in found.values()]
+            people = {key: person for key, person in free.items() if key not in found}
+            found |= {key: track for track, key in _assigned(waiting, people, frame, costs, most)}
+        for key, person in free.items():
+            track = found.get(key) or _Track([], [], person, person)
             if key not in found:
-                found[key] = _Track([], [], person, person)
-                everybody.append(found[key])
-                alive.append(found[key])
-            found[key].keys.append(key)
+                everybody.append(track)
+                alive.append(track)
+            track.keys.append(key)
             for at, index in tracks[key]:
-                found[key].add(at, index, frames[at][index][:_BODY])
+                track.add(at, index, frames[at][index][:_BODY])
     return {track.keys[0]: track.keys for track in everybody}
 
 
@@ -81,39 +95,39 @@ def twins(tracks: dict[int, list[tuple[int, int]]], frames: list[np.ndarray]) ->
     longest are compared.
     """
     longest = sorted(tracks, key=lambda name: -len(tracks[name]))[:_MOST]
+    places = {name: dict(tracks[name]) for name in longest}
     found: dict[int, list[int]] = {}
     for name in longest:
-        twin = next((other for other in found if _is_twin(tracks[name], tracks[other], frames)), name)
-        found.setdefault(twin, []).extend([name] * (twin != name))
+        for other in found:
+            both = sorted(places[name].keys() & places[other].keys())
+            if both:
+                a, b = (np.stack([frames[n][places[one][n]][:_BODY] for n in both]) for one in (name, other))
+                if (_between(a, b) <= _TWIN).mean() >= 0.8:
+                    found[other].append(name)
+                    break
+        else:
+            found[name] = []
     return {name: others for name, others in found.items() if others}
 
 
-def _is_twin(one: list[tuple[int, int]], other: list[tuple[int, int]], frames: list[np.ndarray]) -> bool:
-    both = dict(one).keys() & dict(other).keys()
-    pair = (np.stack([frames[n][index][:_BODY] for n, index in people if n in both]) for people in (one, other))
-    return bool(both) and (_between(*pair) <= _TWIN).mean() >= 0.8
+def _assigned(tracks: list[_Track], people: dict[int, np.ndarray], frame: int, costs, most: float) -> list:
+    """Pairs (track, key of the person) with the lowest sum of costs, none of them above ``most``.
 
-
-def _assigned(tracks: list[_Track], people: dict[Hashable, np.ndarray], frame: int) -> dict[Hashable, _Track]:
-    """The tracks that go on with people (K, 3), by key, with the lowest sum of distances, none above ``_REACH``.
-
-    A pair that is not made costs ``_REACH``: one good pair is better than two of which each is nearly too far.
+    A pair that is not made costs ``most``: one good pair is better than two of which each is nearly too far.
     """
     from scipy.optimize import linear_sum_assignment  # half a second, and only videos of several people need it
 
     if not tracks or not people:
-        return {}
-    keys, cost = list(people), _distances(tracks, np.stack(list(people.values())), frame)
-    blocked = cost > _REACH
-    pairs = zip(*linear_sum_assignment(np.where(blocked, _REACH, cost)), strict=True)
-    return {keys[column]: tracks[row] for row, column in pairs if not blocked[row, column]}
+        return []
+    keys, cost = list(people), costs(tracks, np.stack(list(people.values())), frame)
+    blocked = cost > most
+    pairs = zip(*linear_sum_assignment(np.where(blocked, most, cost)), strict=True)
+    return [(tracks[row], keys[column]) for row, column in pairs if not blocked[row, column]]
 
 
-def _distances(tracks: list[_Track], people: np.ndarray, frame: int) -> np.ndarray:
-    """Distance (A, B) of tracks to people (B, K, 3), see ``_between``: where last seen, or would be by now."""
-    still = np.stack([track.last for track in tracks])[:, None]
-    moved = np.stack([track.step * (frame - track.people[-1][0]) for track in tracks])[:, None, None]
-    return np.minimum(_between(still, people[None]), _between(still + moved, people[None]))
+def _distances(tracks: list[_Track], b: np.ndarray, frame: int) -> np.ndarray:
+    """Distance (A, B) of tracks to people (B, K, 3), see ``_between``."""
+    return _between(np.stack([track.last for track in tracks])[:, None], b[None])
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -129,8 +143,22 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where((shared >= _SHARED) & (size > 0), median / np.maximum(size, 1e-9), np.inf)
 
 
+def _apart(tracks: list[_Track], b: np.ndarray, frame: int) -> np.ndarray:
+    """1 - intersection over union (A, B) of the boxes of tracks, moved on to the frame, and of people (B, K, 3)."""
+    a, b = np.stack([track.box(frame) for track in tracks])[:, None], _boxes(b)[None]
+    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
+    shared = np.maximum(sides, 0).prod(-1)
+    return 1 - shared / np.maximum(sum((box[..., 2:] - box[..., :2]).prod(-1) for box in (a, b)) - shared, 1e-9)
+
+
+def _boxes(people: np.ndarray) -> np.ndarray:
+    """Left, top, right, bottom (..., 4) of the seen keypoints of people (..., K, 3); infinite where none is seen."""
+    seen = people[..., 2:] > 0
+    top = np.where(seen, people[..., :2], np.inf).min(-2)
+    return np.concatenate([top, np.where(seen, people[..., :2], -np.inf).max(-2)], -1)
+
+
 def _extent(people: np.ndarray) -> np.ndarray:
     """Diagonal (...) of the box around the seen keypoints of people (..., K, 3), pixels; 0 where none is seen."""
-    seen, xy = people[..., 2:] > 0, people[..., :2]
-    sides = np.where(seen, xy, -np.inf).max(-2) - np.where(seen, xy, np.inf).min(-2)
-    return np.linalg.norm(np.maximum(sides, 0), axis=-1)
+    box = _boxes(people)
+    return np.linalg.norm(np.maximum(box[..., 2:] - box[..., :2], 0), axis=-1)
