@@ -23,7 +23,6 @@ from motionlab.skeleton import STANDARD, fk
 
 WINDOW = 60  # frames that models see
 _STRIDE = 20  # frames between windows where a joint is never known
-_EASE = 0.2  # seconds beside what is known over which foot locking sets in
 _EDGE = 2  # frames of a window that stay beside a gap
 _PAST = 20  # frames that a window of a draw goes on from
 
@@ -170,7 +169,7 @@ class Rig:
         known, found = self.known[:, [0, *STANDARD.indices(LEGS), len(STANDARD)]].all(-1), with_contacts(made).contacts
         contacts = found if made.contacts is None else torch.where(known[:, None], found, made.contacts)
         some, step = replace(made, contacts=contacts).clip(None), bool(self.keep.frames.any())
-        return replace(made, rot=lock_feet(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
+        return replace(made, rot=lock_feet(some, known=known[None], step=step).rot[0])
 
 
 LEGS = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
