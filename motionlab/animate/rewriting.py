@@ -6,7 +6,6 @@ also have fewer, and another frame rate; a GLB in other frames gets one more ani
 """
 
 import io
-import struct
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
@@ -20,7 +19,7 @@ from motionlab import humanml, rotation
 from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.io import bvh, gltf, smpl
-from motionlab.io.reading import Location, check_writable, read_bytes, read_npz, read_text, reading
+from motionlab.io.reading import Location, check_writable, read_npz, read_text, reading
 from motionlab.motion import Motion
 from motionlab.rest import reframed
 from motionlab.retarget import retarget
@@ -31,6 +30,7 @@ _REMEDY = "name an --out of another format, which is written anew"
 
 def _changed(loaded: Motion, made: Motion) -> tuple[Tensor, Tensor]:
     """Returns where rotations (T, J) and root places (T,) are not bit for bit those of ``loaded``; new frames are."""
+    loaded = loaded.cut(0, made.frames)
     rot, root = torch.ones(made.rot.shape[:2], dtype=torch.bool), torch.ones(made.frames, dtype=torch.bool)
     rot[: loaded.frames] = (made.rot[: loaded.frames] != loaded.rot).any(-1).any(-1)
     root[: loaded.frames] = (made.root[: loaded.frames] != loaded.root).any(-1)
@@ -200,9 +200,8 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
 
 def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     content, blob = gltf._chunks(at)
-    data = bytearray(read_bytes(at))
-    start = data.rindex(blob, 0) if blob else len(data)
-    found = gltf._figure(at, content, blob, *_of_whom(at, content, loaded), None)
+    person, number = _of_whom(at, content, loaded)
+    found = gltf._figure(at, content, blob, person, number, None)
     index = found.skeleton.indices(loaded.skeleton.names)
     if len(found.times) != loaded.frames:
         raise at.error("read at other times than those of its keys", place="times")
@@ -214,61 +213,40 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     ours, its = (float(x.double().norm(dim=-1).sum()) for x in offsets)
     scale = ours / its if its else 1.0
     scale = float(found.sizes[index[0]]) * (1.0 if abs(scale - 1) < 1e-4 else scale)
-    rigid = _averaged(loaded)
-    new, first, at_frame = {}, {}, torch.arange(made.frames).clamp(max=loaded.frames - 1)
+    rigid, (new_rot, new_root) = _averaged(loaded), _changed(loaded, made)
+    keys, still, at_frame = {}, {}, torch.arange(made.frames).clamp(max=loaded.frames - 1)
     for k, node in enumerate(nodes):
         place, turn, size, _ = gltf._local(at, content["nodes"][node], node, found.tracks, found.times)
-        first |= {(node, "translation"): place[:1], (node, "scale"): size[None]}
+        still |= {(node, "translation"): place[:1], (node, "scale"): size[None]}
         if k == 0:
             rot, root = _base(before, after, turn, place, scale)
-            new[node, "translation"] = root
+            keys[node, "translation"] = torch.where(new_root[:, None], root, place[at_frame])
         elif loaded.skeleton.names[k] in rigid:
-            new[node, "translation"] = place.mean(0).expand(made.frames, 3)
+            keys[node, "translation"] = place.mean(0).expand(made.frames, 3)
+        old = rotation.matrix_to_quaternion(turn[at_frame])[:, [1, 2, 3, 0]]
+        if (values := found.tracks.get((node, "rotation"), (0, 0, old))[2]).shape == (loaded.frames, 4):
+            old = torch.from_numpy(values)[at_frame]
         turned = rot[:, 0] if k == 0 else (turn @ before.rot[:, k].mT)[at_frame] @ after.rot[:, k]
-        new[node, "rotation"] = rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
-    if (made.frames, made.fps) != (loaded.frames, loaded.fps):
-        still = {key: first.get(key, torch.from_numpy(values[:1])) for key, (_, _, values) in found.tracks.items()}
-        others = [v for key, (_, _, v) in found.tracks.items() if key not in first | new and np.ptp(v, 0).max() > 1e-4]
-        return _animated(at, content, blob, len(others), still | new, made)
-    new_rot, new_root = _changed(loaded, made)
-    outputs = [sampler["output"] for sampler, _, _ in found.tracks.values()]
-    for (node, what), numbers in new.items():
-        rows = new_rot[:, nodes.index(node)]
-        if what == "translation":
-            rows = new_root if node == nodes[0] else torch.ones_like(new_root)
-        if not rows.any():
-            continue
-        sampler, _, values = found.tracks.get((node, what), ({}, None, np.zeros(0)))
-        output = sampler.get("output", -1)
-        accessor = content["accessors"][output]
-        every = values.shape[:1] + values.shape[2:] == (loaded.frames,)
-        if not every or outputs.count(output) != 1 or accessor["componentType"] != 5126:
-            name = loaded.skeleton.names[nodes.index(node)]
-            raise at.error(f"{name} has no {what} of its own in every frame, in floats", place=f"node {node}")
-        view = content["bufferViews"][accessor["bufferView"]]
-        begin = start + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        old, width = values.copy(), values.shape[1]
-        for t in rows.nonzero()[:, 0].tolist():  # quaternions take the sign of the frame before
-            flip = -1.0 if width == 4 and t and (old[t - 1] @ numbers[t].numpy()) < 0 else 1.0
-            old[t] = flip * numbers[t].numpy()
-            struct.pack_into(f"<{width}f", data, begin + t * view.get("byteStride", 4 * width), *old[t])
-    return bytes(data)
-
-
-def _animated(
-    at: Location, content: dict, blob: bytes, others: int, keys: dict[tuple[int, str], Tensor], made: Motion
-) -> bytes:
-    """The file with one more animation, the first: values (T or 1, W) of every (node, what). others: that move, too."""
-    if others or len(content.get("skins", ())) > 1 or len(content.get("buffers", ())) > 1:
-        raise at.error("others, or what is above the joints, are animated, too")
+        turned = rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
+        keys[node, "rotation"] = rotation.unroll_quaternion(torch.where(new_rot[:, [k]], turned, old), dim=0)
+    times, others = found.times, {key: values for key, (_, _, values) in found.tracks.items() if key not in keys}
+    if anew := (made.frames, made.fps) != (loaded.frames, loaded.fps):
+        if any(key not in still and np.ptp(values, 0).max() > 1e-4 for key, values in others.items()):
+            raise at.error("what is above the joints is animated, too")
+        times = torch.arange(made.frames, dtype=torch.float64) / made.fps
+        keys |= {key: still.get(key, torch.from_numpy(values[:1])) for key, values in others.items()}
+    animations = content.setdefault("animations", [])
+    given = animations[number] if animations else {"samplers": [], "channels": []}
     file = gltf._Buffer()
-    file.content, file.blob = content, bytearray(blob)
-    times = torch.arange(made.frames, dtype=torch.float64) / made.fps
+    file.content, file.blob, file.samplers = content, bytearray(blob), [*given["samplers"]]
+    file.channels = [c for c in given["channels"] if (c["target"].get("node"), c["target"]["path"]) not in keys]
     inputs = {n: file.add(times[:n], "f4", bounds=True) for n in {len(values) for values in keys.values()}}
     for (node, what), values in keys.items():
-        values = rotation.unroll_quaternion(values, dim=0) if what == "rotation" else values
         file.move(node, what, inputs[len(values)], values)
-    content["animations"].insert(0, file.animation(made))
+    if anew:
+        animations.insert(0, file.animation(made))
+    else:
+        animations[number] = given | {"samplers": file.samplers, "channels": file.channels}
     return file.glb()
 
 
@@ -349,7 +327,7 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
 
 def _stayed(loaded: Motion, made: Motion) -> str:
     """Says how much of a rewritten file is as it was: frames, and joints that stay in frames that changed."""
-    new, new_root = _changed(loaded.cut(0, made.frames), made)
+    new, new_root = _changed(loaded, made)
     new[:, 0] |= new_root
     new[:, loaded.skeleton.indices(_averaged(loaded))] = True
     frames, joints = int((~new.any(1)).sum()), int((~new.any(0)).sum())
