@@ -79,12 +79,7 @@ def test_feet_that_no_label_names_stand_if_they_are_low_and_slow_and_only_then(w
     assert slide(creeping)[both].mean() > 3e-3 and slide(lock_feet(creeping))[both].mean() < 5e-4
     assert (lock_feet(creeping, slow=False).positions - creeping.positions).abs().max() < 1e-3  # nothing says so
     assert (lock_feet(running).positions - running.positions).norm(dim=-1).mean() < 2e-3  # low, but at 2 m/s
-
-
-def test_true_motion_is_hardly_moved(walk):
-    """The control: what a finish takes from motion that needs none."""
-    moved = (lock_feet(walk).positions - walk.positions).norm(dim=-1)[..., STANDARD.indices(BALLS)]
-    assert moved.mean() < 0.01
+    assert (lock_feet(walk).positions - walk.positions).norm(dim=-1)[..., STANDARD.indices(BALLS)].mean() < 0.01
 
 
 def test_a_heel_on_the_floor_stays_though_its_foot_trembles(walk):
@@ -234,12 +229,6 @@ def test_a_step_for_which_there_is_no_time_begins_earlier_and_ends_later_but_not
         speed = flown(before, stands, known)[0, 0, :, 0, 0].diff()
         assert abs(int((speed > 0).sum()) - long) < 2 and speed.max() < 0.75 * before[0, 0, :, 0, 0].diff().max()
         assert speed[:9].max() == 0 and (known[29] <= (speed[:29].max() == 0))
-
-
-def test_two_frames_leave_no_room_for_a_step():
-    two = feet_of(torch.tensor([0.0, 0.3]))
-    on = torch.tensor([True, False])
-    assert torch.equal(flown(two, ~on, on), two)
 
 
 def test_a_heel_that_rolls_up_before_a_flight_without_time_does_not_jump():

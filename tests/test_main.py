@@ -303,11 +303,6 @@ def test_data_says_first_what_it_guessed(tmp_path, capsys, certify):
     assert "note" not in capsys.readouterr().out
 
 
-def test_unknown_output_format_is_refused(tmp_path, capsys):
-    assert __main__.main(["convert", str(tmp_path / "a.bvh"), str(tmp_path / "a.fbx")]) == 2
-    assert ".bvh, .npz, .glb" in capsys.readouterr().err
-
-
 def test_data_needs_a_folder(monkeypatch, capsys):
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
     assert __main__.main(["data"]) == 2

@@ -69,11 +69,9 @@ def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
     scale = next((unit for unit in bvh.UNITS.values() if abs(scale / unit - 1) < 1e-4), scale)
     top = index[0]
     rigid, means = _averaged(loaded), values.mean(0)
-    fps, loaded = loaded.fps, loaded.cut(0, made.frames)
-    place, turns, values = (x[: loaded.frames] for x in (place, turns, values))
     rot, root = _base(loaded, made, turns[:, top], torch.from_numpy(place[:, top]), scale)
     new_rot, new_root = _changed(loaded, made)
-    table = np.concatenate((values, np.repeat(values[-1:], made.frames - loaded.frames, 0)))
+    table = values[np.arange(made.frames).clip(max=loaded.frames - 1)]
     mine, turned = np.zeros(table.shape, dtype=bool), {}
     for k, i in enumerate(index):
         (order, where), rows = joints[i].turns, new_rot[:, k].numpy()
@@ -98,7 +96,7 @@ def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
         where = np.array(list(turned))
         proper = np.array([order[0] == order[2] for order in turned.values()])
         table[:, where] = _carried_on(table[:, where], mine[:, where[:, 0]], proper, values[0, where])
-    return _bvh_text(text, table, mine, loaded.frames, None if made.fps == fps else made.fps).encode(at.encoding)
+    return _bvh_text(text, table, mine, None if made.fps == loaded.fps else made.fps).encode(at.encoding)
 
 
 def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -126,16 +124,16 @@ def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first:
     return made
 
 
-def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int, fps: float | None) -> str:
+def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, fps: float | None) -> str:
     """The file's text with new numbers where ``mine``, and its own line ends; lines without one as they are.
 
-    frames: of the file that are left. fps: None: the file's.
+    fps: None: the file's.
     """
     lines = text.splitlines(keepends=True)
     start = next(n for n, line in enumerate(lines) if line.split()[:1] and line.split()[0].upper() == "MOTION")
     rows = [n for n in range(start + 1, len(lines)) if lines[n].strip()]
     heading, rows, gone = rows[:2], rows[2 : 2 + len(table)], rows[2 + len(table) :]
-    end = _line_end(lines[start])
+    end, frames = _line_end(lines[start]), len(rows)
     words = [lines[n].split() for n in rows]
     words += words[-1:] * (len(table) - frames)
     found = [
@@ -165,7 +163,7 @@ def _npz(at: Location, loaded: Motion, made: Motion) -> bytes | None:
     count = loaded.frames
     if not places or made.fps != loaded.fps or made.frames < count:
         return None
-    arrays = {k: np.array(x) for k, x in read_npz(at).items()}
+    arrays = {k: np.array(x, order="C") for k, x in read_npz(at).items()}
     for key in {moving, "contacts", *(key for key, _ in places), "pose_jaw", "pose_eye", "pose_hand"} & arrays.keys():
         if len(arrays[key]) == count:
             arrays[key] = np.concatenate((arrays[key], np.repeat(arrays[key][-1:], made.frames - count, 0)))
@@ -177,10 +175,6 @@ def _npz(at: Location, loaded: Motion, made: Motion) -> bytes | None:
     for j, (key, column) in enumerate(places):
         table[key][new_rot[:, j], column : column + 3] = turns[new_rot[:, j], j]
     table[moving][new_root] = root.numpy()[new_root]
-    arrays |= {key: rows.reshape(arrays[key].shape) for key, rows in table.items()}
-    if "contacts" in arrays and made.contacts is not None:
-        rows = new_rot.any(1) | new_root
-        arrays["contacts"][rows] = made.contacts.numpy()[rows]
     archive = io.BytesIO()
     np.savez_compressed(archive, **arrays)
     return archive.getvalue()
