@@ -76,9 +76,6 @@ def lock_feet(motion: Motion, *, slow: bool = True, known: Tensor | None = None,
         swings = steps(ball, heel_down | ball_down, right, leg, motion.fps)
         heel_down, ball_down = heel_down & ~swings, ball_down & ~swings
     at_heel, shift = _place(ankle, heel_down, right) - ankle, _place(ball, ball_down, right) - ball
-    if step:  # a heel that stands takes its ball along
-        alone = heel_down & ~ball_down
-        shift, ball_down = torch.where(alone[..., None], at_heel, shift), ball_down | alone
     shift = _lines(torch.where(right[..., None], 0.0, shift), ball_down | right)
     flat = torch.where((heel_down & ~right)[..., None], at_heel - shift, 0.0)
     flat = _lines(flat, (heel_down & ~_near(right)) | ~_near(heel_down) | right)
