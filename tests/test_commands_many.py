@@ -212,12 +212,3 @@ def test_paths_of_options_are_the_same_where_workers_stand(footage, monkeypatch)
     options = {"--camera": "camera", "--prior": "prior", "--pose-prior": "pose_prior", "--initial": "initial"}
     fit_each(footage, *(word for option in options for word in (option, "a.npz")))
     assert {asked[0].keywords["how"][name] for name in options.values()} == {footage / "a.npz"}
-
-
-def test_ctrl_c_in_a_folder_of_one_clip_is_said_once(footage, monkeypatch, capsys):
-    """It runs in this process, and ends at its best, which is not done."""
-    shutil.rmtree(footage / "videos" / "cam1_2"), shutil.rmtree(footage / "keypoints" / "cam1_2_json")
-    monkeypatch.setattr(fit, "run_clip", lambda *_, **__: {"notes": [], "people": []})
-    assert fit_each(footage) == 1
-    said = capsys.readouterr()
-    assert (said.out + said.err).count("stopped before it was done") == 1 and "workers" not in said.out + said.err
