@@ -38,6 +38,8 @@ def test_feet_that_no_label_names_stand_if_they_are_low_and_slow_and_only_then(w
 
     assert slide(creeping)[both].mean() > 3e-3 and slide(lock_feet(creeping))[both].mean() < 5e-4
     assert (lock_feet(creeping, slow=False).positions - creeping.positions).abs().max() < 1e-3  # nothing says so
+    said = replace(creeping, contacts=walk.contacts)
+    assert (lock_feet(said, slow=False).positions - creeping.positions).abs().max() > 0.01
     assert (lock_feet(running).positions - running.positions).norm(dim=-1).mean() < 2e-3  # low, but at 2 m/s
     assert (lock_feet(walk).positions - walk.positions).norm(dim=-1)[..., STANDARD.indices(BALLS)].mean() < 0.01
 
