@@ -179,25 +179,15 @@ def test_pages_take_their_findings_between_their_marks(suite, tmp_path):
         pages.update(tmp_path)
 
 
-def test_rendering_is_really_tried():
+def test_rendering_is_really_tried_and_broken_rendering_is_found(monkeypatch):
     assert doctor._check_rendering().ok
+    for program in ("import os; os.abort()", "raise SystemExit(0)", "raise SystemExit('an empty picture')"):
+        monkeypatch.setattr(doctor, "_DRAW", program)
+        assert "apt-get install" in doctor._check_rendering().remedy
 
 
-@pytest.mark.parametrize(
-    "program",
-    ["import os; os.abort()", "raise SystemExit(0)", "raise SystemExit('an empty picture')"],
-    ids=["crashes", "says nothing", "draws an empty picture"],
-)
-def test_control_broken_rendering_is_found(monkeypatch, program):
-    monkeypatch.setattr(doctor, "_DRAW", program)
-    assert "apt-get install" in doctor._check_rendering().remedy
-
-
-def test_packages_agree_with_their_pins():
+def test_packages_agree_with_their_pins_and_another_version_is_found(tmp_path, monkeypatch):
     assert all(check.ok for check in doctor._check_packages())
-
-
-def test_control_other_version_is_found(tmp_path, monkeypatch):
     (tmp_path / "constraints.txt").write_text("torch==0.1\n", encoding="utf-8")
     monkeypatch.setattr(doctor, "ROOT", tmp_path)
     wrong = [check for check in doctor._check_packages() if not check.ok]
@@ -205,9 +195,7 @@ def test_control_other_version_is_found(tmp_path, monkeypatch):
 
 
 def test_data_folder_is_looked_into(tmp_path):
-    assert doctor._check_data(None).ok
-    assert not doctor._check_data(str(tmp_path / "nowhere")).ok
-    assert not doctor._check_data(str(tmp_path)).ok
+    assert doctor._check_data(None).ok and not doctor._check_data(str(tmp_path)).ok
     (tmp_path / "cmu_amc").mkdir()
     assert "cmu_amc" in doctor._check_data(str(tmp_path)).found
 
@@ -305,8 +293,7 @@ def test_data_says_first_what_it_guessed(tmp_path, capsys, certify):
 
 def test_data_needs_a_folder(monkeypatch, capsys):
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
-    assert __main__.main(["data"]) == 2
-    assert "MOTIONLAB_DATA" in capsys.readouterr().err
+    assert __main__.main(["data"]) == 2 and "MOTIONLAB_DATA" in capsys.readouterr().err
 
 
 def test_what_the_commands_offer_is_what_the_library_does():

@@ -141,11 +141,6 @@ def test_a_film_of_what_cannot_be_filmed_is_refused_before_anything_is_made(desk
 
 
 # ------------------------------------------------------------------------------------------------------ wishes
-def test_control_half_a_second_is_made(desk):
-    assert main(["generate", "--seconds", "0.5", "--out", "made", "--seed", "3"]) == 0
-    assert io.load("made/generated_3.bvh").frames == 15
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
