@@ -113,6 +113,9 @@ def test_of_several_people_the_one_who_was_read_changes(tmp_path, person):
     torch.testing.assert_close(io.load(target, person=person).rot, made.rot, atol=2e-6, rtol=0)
     other = 1 - person
     torch.testing.assert_close(io.load(target, person=other).rot, io.load(source, person=other).rot, atol=0, rtol=0)
+    longer = loaded.clip(torch.arange(25) % 20)
+    assert "new animation" in write_back(source, target, loaded, longer)
+    assert (io.load(target, person=person).frames, io.load(target, person=other).frames) == (25, 20)
     assert "the other people of the file that was read are lost" in write_back(source, tmp_path / "c.bvh", loaded, made)
 
 

@@ -234,6 +234,8 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     file = gltf._Buffer()
     file.content, file.blob, file.samplers = content, bytearray(blob), [*given["samplers"]]
     file.channels = [c for c in given["channels"] if (c["target"].get("node"), c["target"]["path"]) not in keys]
+    if file.channels and made.fps != loaded.fps:
+        raise at.error("others are animated, at another rate")
     inputs = {n: file.add(times[:n], "f4", bounds=True) for n in {len(values) for values in keys.values()}}
     for (node, what), values in keys.items():
         file.move(node, what, inputs[len(values)], values)
