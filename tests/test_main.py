@@ -180,22 +180,22 @@ def test_pages_take_their_findings_between_their_marks(suite, tmp_path):
 
 
 def test_rendering_is_really_tried_and_broken_rendering_is_found(monkeypatch):
-    assert doctor._check_rendering().ok
+    assert not doctor._check_rendering().remedy
     for program in ("import os; os.abort()", "raise SystemExit(0)", "raise SystemExit('an empty picture')"):
         monkeypatch.setattr(doctor, "_DRAW", program)
         assert "apt-get install" in doctor._check_rendering().remedy
 
 
 def test_packages_agree_with_their_pins_and_another_version_is_found(tmp_path, monkeypatch):
-    assert all(check.ok for check in doctor._check_packages())
+    assert not any(check.remedy for check in doctor._check_packages())
     (tmp_path / "constraints.txt").write_text("torch==0.1\n", encoding="utf-8")
     monkeypatch.setattr(doctor, "ROOT", tmp_path)
-    wrong = [check for check in doctor._check_packages() if not check.ok]
+    wrong = [check for check in doctor._check_packages() if check.remedy]
     assert [check.name for check in wrong] == ["torch"] and "0.1" in wrong[0].remedy
 
 
 def test_data_folder_is_looked_into(tmp_path):
-    assert doctor._check_data(None).ok and not doctor._check_data(str(tmp_path)).ok
+    assert doctor._check_data(str(tmp_path)).remedy and not doctor._check_data(None).remedy
     (tmp_path / "cmu_amc").mkdir()
     assert "cmu_amc" in doctor._check_data(str(tmp_path)).found
 

@@ -133,7 +133,7 @@ def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, fps: float | None)
     start = next(n for n, line in enumerate(lines) if line.split()[:1] and line.split()[0].upper() == "MOTION")
     rows = [n for n in range(start + 1, len(lines)) if lines[n].strip()]
     heading, rows, gone = rows[:2], rows[2 : 2 + len(table)], rows[2 + len(table) :]
-    end, frames = _line_end(lines[start]), len(rows)
+    end, frames = lines[start].removeprefix(lines[start].rstrip("\r\n")), len(rows)
     words = [lines[n].split() for n in rows]
     words += words[-1:] * (len(table) - frames)
     found = [
@@ -141,21 +141,17 @@ def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, fps: float | None)
         for old, row, its in zip(words, table, mine, strict=True)
     ]
     for n, line, its in zip(rows, found, mine, strict=False):
-        lines[n] = line + _line_end(lines[n]) if its.any() else lines[n]
+        lines[n] = line + end if its.any() else lines[n]
     if float(lines[heading[0]].partition(":")[2]) != len(table):
         lines[heading[0]] = f"Frames: {len(table)}{end}"
     if fps is not None:
         lines[heading[1]] = f"Frame Time: {1 / fps:.10f}{end}"
     if len(table) > frames:
-        lines[rows[-1]] = lines[rows[-1]].removesuffix(_line_end(lines[rows[-1]])) + end
+        lines[rows[-1]] = lines[rows[-1]].rstrip("\r\n") + end
         lines[rows[-1] + 1 : rows[-1] + 1] = [line + end for line in found[frames:]]
     for n in gone:
         lines[n] = ""
     return "".join(lines)
-
-
-def _line_end(line: str) -> str:
-    return line[len(line.rstrip("\r\n")) :]
 
 
 def _npz(at: Location, loaded: Motion, made: Motion) -> bytes | None:
