@@ -139,13 +139,13 @@ def test_a_step_is_eased_and_lifted_by_its_length_and_one_that_is_high_already_i
     stands, known = (u == 0) | (u == 1), torch.zeros(40, dtype=torch.bool)
     made = flown(feet_of(length * u), stands, known)[0, 0, :, 0]
     torch.testing.assert_close(made[:, 0], length * (3 * u**2 - 2 * u**3))
-    assert float(made[:, 2].max()) - 0.08 == pytest.approx(high)
+    assert high < float(made[:, 2].max()) - 0.08 < high + 0.012
     assert (made[stands, 2] == 0.08).all()
     low = made[:, 2] < 0.11
     drags = (made[:, 0].diff() * (low[1:] & low[:-1])).sum()
     assert drags < 0.1 * length or length < 0.1  # the control: all of it
     above = flown(feet_of(length * u, 0.3), stands, known)[0, 0, :, 0]
-    assert (above[:, 2] == 0.3).all()
+    assert (above[:, 2] - 0.3).abs().max() < 0.003
 
 
 def test_a_foot_that_swings_at_a_key_goes_on_from_it_and_does_not_glide_into_its_stand():

@@ -45,7 +45,8 @@ _SECONDS = (0.25, 0.3)  # that a step takes, and so much more per leg
 _TURNS = 0.2  # of a step's way, by which the foot ahead steps later, the other earlier
 _HIGH, _HIGHEST = 0.12, 0.08  # a step rises to so much of its length, at most to so much of a leg
 _LEAST, _SHORT = 0.05, 0.5  # and to so many metres at least, or where it is short to so much of its length
-_RISES = 0.2  # of its time, in which it rises, and sinks
+_RISES = 0.22  # of its time, in which it rises, and sinks
+_SOFT = 0.03  # metres: what lies so much higher already is hardly lifted
 _EASE = 0.2  # seconds beside known frames over which feet that step set in
 _HIPS, _KNEES = ("left_hip", "right_hip"), ("left_knee", "right_knee")
 
@@ -222,8 +223,9 @@ def lift(feet: Tensor, stands: Tensor, known: Tensor, rest: Tensor, leg: float, 
             ball = torch.lerp(way[1, low], way[1, low + 1], (when - low)[:, None])
             way[:, inside, :2] += (ball - way[1, inside])[:, :2]  # a heel rolls up, and comes down, when it did
             rise = (torch.minimum(u, 1 - u) / _RISES).clamp(max=1)
-            least = rest[clip, foot] + high * (3 * rise**2 - 2 * rise**3)
-            way[:, inside, 2] += (least - way[0, inside, 2]).clamp(min=0)
+            bump = 3 * rise**2 - 2 * rise**3
+            lacks = rest[clip, foot] + high * bump - way[0, inside, 2]
+            way[:, inside, 2] += bump * (lacks + (lacks**2 + _SOFT**2).sqrt()) / 2
     return feet
 
 
