@@ -244,9 +244,7 @@ def test_npz_stands_on_the_floor_on_the_bones_that_its_reader_assumes(tmp_path):
     ("target", "flags", "words"),
     [
         ("nowhere/a.bvh", (), "cannot be written"),
-        ("a.bvh", ("--fps", "0"), "give 1 to 1000"),
         ("a.bvh", ("--fps", "nan"), "give 1 to 1000"),
-        ("a.bvh", ("--fps", "1e9"), "give 1 to 1000"),
         ("a.npz", ("--bones",), "only a GLB"),
         ("still.bvh", ("--fps", "10"), "this is the file that was opened"),
     ],
