@@ -3,6 +3,7 @@
 import asyncio
 import threading
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -117,8 +118,9 @@ def test_a_seed_draws_one_motion_and_another_seed_another():
     drawn = [made.motion.rot for made in found]
     assert torch.equal(drawn[0], drawn[1])
     assert all((drawn[0] - other).abs().max() > 0.02 for other in drawn[2:])
-    legs = [filling.completed(motion, ["legs"], seed=seed).motion.rot for seed in (0, 0, 1)]
-    assert torch.equal(legs[0], legs[1]) and not torch.equal(legs[0], legs[2])
+    for draw in (partial(filling.completed, motion, ["legs"]), partial(restore.generated, 1.0)):
+        first, again, other = (draw(seed=seed).motion.rot for seed in (0, 0, 1))
+        assert torch.equal(first, again) and not torch.equal(first, other)
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 200), (30, 200), (30, 150), (30, 99)])
@@ -208,20 +210,16 @@ def test_a_frame_that_jumps_is_filled_in_and_the_others_stay():
     assert torch.equal(made.motion.rot[:40], motion.rot[:40]) and torch.equal(made.motion.root[60:], motion.root[60:])
 
 
-def test_noise_that_is_given_is_believed_and_jumps_are_filled_in_first(monkeypatch):
+def test_noise_that_is_given_is_believed_and_jumps_are_filled_in_first():
     motion = walk(90, 30.0)
     calm = restore.repaired(motion, Noise.of(0.3, 0.1), method="curves", plant=False)  # less than CLEAN
     assert not torch.equal(calm.motion.rot, motion.rot) and "as given" in calm.notes[0]
     assert torch.equal(restore.repaired(motion, Noise(0.0, 0.0)).motion.rot, motion.rot)
     jump = 2.0 * (torch.arange(90) == 50)[:, None]
     noisy = Noise.of(1.0, 0.5).on(motion, torch.Generator().manual_seed(0))
-    asked, fill = [], filling.inbetween
-    monkeypatch.setattr(restore, "inbetween", lambda *a, **k: asked.append(k["method"]) or fill(*a, **k))
     made = restore.repaired(replace(noisy, root=noisy.root + jump), method="curves")
     off = (made.motion.root - motion.root).norm(dim=-1)
-    assert off.max() < 0.05 and made.notes[1].startswith("frames that jump: ") and asked == ["curves"]
-    restore.repaired(replace(motion, root=motion.root + jump))
-    assert asked[1:] == [None]  # what is measured best
+    assert off.max() < 0.05 and made.notes[1].startswith("frames that jump: ")
 
 
 def test_a_motion_too_short_to_measure_noise_is_repaired_once_it_is_told():
@@ -248,11 +246,6 @@ def test_new_motion_that_floats_is_let_down_to_the_floor(motions):
     assert (standing.root - walk.root).abs().max() < 0.03 and restore._on_floor(standing).root.equal(standing.root)
 
 
-def test_what_is_drawn_is_the_same_for_one_seed_and_another_for_another():
-    first, again, other = (restore.generated(1.0, seed=seed).motion for seed in (0, 0, 1))
-    assert first.frames == 30 and torch.equal(first.rot, again.rot) and not torch.equal(first.rot, other.rot)
-
-
 def test_what_follows_on_a_motion_begins_where_it_ends(tmp_path):
     source = tmp_path / "in.bvh"
     bvh.save(source, walk(60))
@@ -264,13 +257,12 @@ def test_what_follows_on_a_motion_begins_where_it_ends(tmp_path):
     assert (held.positions[60] - held.positions[59]).norm(dim=-1).max() * after.fps > 4
 
 
-@pytest.mark.parametrize("body", [True, False])
-def test_who_goes_on_from_a_glb_keeps_its_body(body, tmp_path, capsys):
+def test_who_goes_on_from_a_glb_keeps_its_body(tmp_path, capsys):
     source = tmp_path / "in.glb"
-    gltf.save(source, walk(30), BodyModel.from_anny() if body else None)
+    gltf.save(source, walk(30), BodyModel.from_anny())
     assert command("generate", "--seconds", 0.5, "--start", source, "--out", tmp_path / "made") == 0
     assert "the file's nodes and meshes stay" in capsys.readouterr().out
-    assert ("the body" in rewriting._left_behind(tmp_path / "made" / "generated_0.glb")) == body
+    assert "the body" in rewriting._left_behind(tmp_path / "made" / "generated_0.glb")
     assert io.load(tmp_path / "made" / "generated_0.glb").frames == 42
 
 

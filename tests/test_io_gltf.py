@@ -514,8 +514,8 @@ def test_joints_below_others_that_are_none_and_beside_the_figure(tmp_path):
     assert float(longer) == pytest.approx(float((frame + torch.tensor([0, 0.1, 0])).norm()), abs=1e-5)
 
 
-def test_what_has_no_key_in_every_frame_is_written_anew(tmp_path):
-    """A bone that stood still has two keys at most: what it does now goes into a new file, and that is said."""
+def test_what_has_no_key_in_every_frame_is_given_one(tmp_path):
+    """A bone that stood still has two keys at most."""
     file = Foreign(spin())
     file.turns[:] = file.turns[:1]
     file.key(0, "translation", np.arange(FRAMES) / 30, file.root)
@@ -525,5 +525,5 @@ def test_what_has_no_key_in_every_frame_is_written_anew(tmp_path):
     rot = loaded.rot.clone()
     rot[4, 3] = rotation.rotation_about("x", torch.tensor(0.4)) @ rot[4, 3]
     said = rewriting.write_back(tmp_path / "a.glb", tmp_path / "b.glb", loaded, replace(loaded, rot=rot))
-    assert "written anew" in said and "of its own in every frame" in said
+    assert said.startswith(f"{FRAMES - 1} of {FRAMES} frames")
     assert (gltf.load(tmp_path / "b.glb").positions - replace(loaded, rot=rot).positions).abs().max() < 1e-5

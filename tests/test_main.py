@@ -162,35 +162,23 @@ def test_pages_take_their_findings_between_their_marks(suite, tmp_path):
         pages.update(tmp_path)
 
 
-def test_rendering_is_really_tried():
-    assert doctor._check_rendering().ok
+def test_rendering_is_really_tried_and_broken_rendering_is_found(monkeypatch):
+    assert not doctor._check_rendering().remedy
+    for program in ("import os; os.abort()", "raise SystemExit(0)", "raise SystemExit('an empty picture')"):
+        monkeypatch.setattr(doctor, "_DRAW", program)
+        assert "apt-get install" in doctor._check_rendering().remedy
 
 
-@pytest.mark.parametrize(
-    "program",
-    ["import os; os.abort()", "raise SystemExit(0)", "raise SystemExit('an empty picture')"],
-    ids=["crashes", "says nothing", "draws an empty picture"],
-)
-def test_control_broken_rendering_is_found(monkeypatch, program):
-    monkeypatch.setattr(doctor, "_DRAW", program)
-    assert "apt-get install" in doctor._check_rendering().remedy
-
-
-def test_packages_agree_with_their_pins():
-    assert all(check.ok for check in doctor._check_packages())
-
-
-def test_control_other_version_is_found(tmp_path, monkeypatch):
+def test_packages_agree_with_their_pins_and_another_version_is_found(tmp_path, monkeypatch):
+    assert not any(check.remedy for check in doctor._check_packages())
     (tmp_path / "constraints.txt").write_text("torch==0.1\n", encoding="utf-8")
     monkeypatch.setattr(doctor, "ROOT", tmp_path)
-    wrong = [check for check in doctor._check_packages() if not check.ok]
+    wrong = [check for check in doctor._check_packages() if check.remedy]
     assert [check.name for check in wrong] == ["torch"] and "0.1" in wrong[0].remedy
 
 
 def test_data_folder_is_looked_into(tmp_path):
-    assert doctor._check_data(None).ok
-    assert not doctor._check_data(str(tmp_path / "nowhere")).ok
-    assert not doctor._check_data(str(tmp_path)).ok
+    assert doctor._check_data(str(tmp_path)).remedy and not doctor._check_data(None).remedy
     (tmp_path / "cmu_amc").mkdir()
     assert "cmu_amc" in doctor._check_data(str(tmp_path)).found
 
@@ -239,9 +227,7 @@ def test_npz_stands_on_the_floor_on_the_bones_that_its_reader_assumes(tmp_path):
     ("target", "flags", "words"),
     [
         ("nowhere/a.bvh", (), "cannot be written"),
-        ("a.bvh", ("--fps", "0"), "give 1 to 1000"),
         ("a.bvh", ("--fps", "nan"), "give 1 to 1000"),
-        ("a.bvh", ("--fps", "1e9"), "give 1 to 1000"),
         ("a.npz", ("--bones",), "only a GLB"),
         ("still.bvh", ("--fps", "10"), "this is the file that was opened"),
     ],
@@ -286,15 +272,9 @@ def test_data_says_first_what_it_guessed(tmp_path, capsys, certify):
     assert "note" not in capsys.readouterr().out
 
 
-def test_unknown_output_format_is_refused(tmp_path, capsys):
-    assert __main__.main(["convert", str(tmp_path / "a.bvh"), str(tmp_path / "a.fbx")]) == 2
-    assert ".bvh, .npz, .glb" in capsys.readouterr().err
-
-
 def test_data_needs_a_folder(monkeypatch, capsys):
     monkeypatch.delenv("MOTIONLAB_DATA", raising=False)
-    assert __main__.main(["data"]) == 2
-    assert "MOTIONLAB_DATA" in capsys.readouterr().err
+    assert __main__.main(["data"]) == 2 and "MOTIONLAB_DATA" in capsys.readouterr().err
 
 
 def test_what_the_commands_offer_is_what_the_library_does():

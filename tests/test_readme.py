@@ -7,6 +7,7 @@ from pathlib import Path
 import imageio.v2 as imageio
 import pytest
 import torch
+from walked import table, write_json
 
 from motionlab import bench, examples, io, retarget
 from motionlab.baselines import curve_weights
@@ -16,10 +17,8 @@ from motionlab.commands.options import parser
 from motionlab.contact import with_contacts
 from motionlab.diffusion import completer
 from motionlab.diffusion.windows import on_standard
-from motionlab.footage.fit import landmarks_of
 from motionlab.io import bvh, gltf
 from motionlab.motion import resample, windows
-from motionlab.observation import look_at, project
 from motionlab.skeleton import STANDARD
 from suite import execute, findings, pages
 from tests.test_architecture import notebooks
@@ -42,12 +41,7 @@ def desk(tmp_path_factory) -> Path:
     """A folder with the beginning of the walk, and the keypoints of its first eight frames in openpose_json/."""
     folder = tmp_path_factory.mktemp("desk")
     bvh.save(folder / "begun.bvh", io.load(examples.WALK).cut(0, 66))
-    camera = look_at(torch.tensor([0.5, -4.0, 1.4]), torch.tensor([0.0, 0.0, 0.9]), focal=900.0, width=1280, height=720)
-    pixels, _ = project(camera, landmarks_of(WALK.cut(0, 8)))
-    (folder / "openpose_json").mkdir()
-    for frame, points in enumerate(torch.cat((pixels, torch.ones_like(pixels[..., :1])), -1).flatten(1).tolist()):
-        text = json.dumps({"version": 1.3, "people": [{"pose_keypoints_2d": points}]})
-        (folder / "openpose_json" / f"view_{frame:04d}_keypoints.json").write_text(text)
+    write_json(folder / "openpose_json", table(WALK.cut(0, 8)))
     return folder
 
 

@@ -12,7 +12,6 @@ from typing import Self
 
 import torch
 from torch import Tensor
-from tqdm.auto import tqdm
 
 from motionlab import rotation
 from motionlab.animate.foot_locking import lock_feet
@@ -23,7 +22,6 @@ from motionlab.skeleton import STANDARD, fk
 
 WINDOW = 60  # frames that models see
 _STRIDE = 20  # frames between windows where a joint is never known
-_EASE = 0.2  # seconds beside what is known over which foot locking sets in
 _EDGE = 2  # frames of a window that stay beside a gap
 _PAST = 20  # frames that a window of a draw goes on from
 
@@ -170,7 +168,7 @@ class Rig:
         known, found = self.known[:, [0, *STANDARD.indices(LEGS), len(STANDARD)]].all(-1), with_contacts(made).contacts
         contacts = found if made.contacts is None else torch.where(known[:, None], found, made.contacts)
         some, step = replace(made, contacts=contacts).clip(None), bool(self.keep.frames.any())
-        return replace(made, rot=lock_feet(some, known=known[None], ease=_EASE * made.fps, step=step).rot[0])
+        return replace(made, rot=lock_feet(some, known=known[None], step=step).rot[0])
 
 
 LEGS = [f"{side}_{part}" for side in ("left", "right") for part in ("hip", "knee", "ankle")]
@@ -191,7 +189,7 @@ def on_model_body(joints: Motion) -> tuple[Motion, float]:
     return replace(made, notes=()), scale
 
 
-def by_windows(fill: Fill, missing: Tensor, progress: bool = False, *, onward: bool = False) -> Fill:
+def by_windows(fill: Fill, missing: Tensor, *, onward: bool = False) -> Fill:
     """Returns what fills a whole motion (T) by a fill of windows (B, 60), in what is not known.
 
     A gap that fits into a window with a known frame on either side is filled in one, in its middle; what was filled in
@@ -205,16 +203,12 @@ def by_windows(fill: Fill, missing: Tensor, progress: bool = False, *, onward: b
         index = torch.arange(max(frames, WINDOW)).clamp(max=frames - 1)  # a window at least: its last frame, unknown
         motion, known = motion.clip(index), known[index] & (torch.arange(len(index)) < frames)[:, None]
         done = known.clone()
-        gaps = runs(~(known | ~has)[:, :-1].all(-1))
-        total = sum(last - first for first, last in gaps)
-        with tqdm(total=total, desc="filling in", unit="frame", disable=not progress, leave=False) as bar:
-            for first, last in gaps:
-                while first < last:
-                    starts, stop = _next(first, last, motion.frames, onward)
-                    motion = _filled_in(motion, done, fill, starts, (first, stop))
-                    done[first:stop] = has
-                    bar.update(stop - first)
-                    first = stop
+        for first, last in runs(~(known | ~has)[:, :-1].all(-1)):
+            while first < last:
+                starts, stop = _next(first, last, motion.frames, onward)
+                motion = _filled_in(motion, done, fill, starts, (first, stop))
+                done[first:stop] = has
+                first = stop
         return motion.cut(0, frames)
 
     return filled

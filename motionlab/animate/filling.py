@@ -111,9 +111,8 @@ def found_joints(motion: Motion, words: Sequence[str]) -> set[int]:
 
 
 def inbetween(
-    motion: Motion, keep: KeyMask, *, method: str | None = None, seed: int | None = None, plant: bool = True,
-    progress: bool = False,
-) -> Animated:  # fmt: skip
+    motion: Motion, keep: KeyMask, *, method: str | None = None, seed: int | None = None, plant: bool = True
+) -> Animated:
     """Computes a motion (T) between its kept frames, with kept joints as they are.
 
     Before the first kept frame and behind the last one curves hold the pose; the network goes on from motion that is
@@ -149,13 +148,11 @@ def inbetween(
     made = body.joints
     if chosen != "curves":
         rate = min(FPS, _MOST / gap) if gap else FPS
-        made = body.corrected(network(seed, body.missing_joints, progress), rate=rate)
+        made = body.corrected(network(seed, body.missing_joints), rate=rate)
     return Animated(body.to_own_rig(made, plant=plant), (*notes, *body.notes(plant)))
 
 
-def completed(
-    motion: Motion, hidden: Sequence[str], *, seed: int | None = None, plant: bool = True, progress: bool = False
-) -> Animated:
+def completed(motion: Motion, hidden: Sequence[str], *, seed: int | None = None, plant: bool = True) -> Animated:
     """Computes the joints that ``hidden`` names (see :func:`found_joints`), in all frames; what they hold is not read.
 
     The floor is taken to be at z = 0, and the root as known. seed: as of :func:`inbetween`.
@@ -172,7 +169,7 @@ def completed(
     why = "how close these joints come to the true ones was not measured"
     if hide >= {own for j, own in body.mapped.items() if STANDARD.names[j] in (*LEGS, *BALLS)}:
         why = "hidden legs came out 13 cm off on 17 people whom it had never seen"
-    made = body.corrected(network(seed, body.missing_joints, progress))
+    made = body.corrected(network(seed, body.missing_joints))
     notes = (f"method: network; {why}", *_of_draw(seed), "the floor is taken to be at height 0", *body.notes(plant))
     return Animated(body.to_own_rig(made, plant=plant), notes)
 
@@ -181,16 +178,16 @@ def _of_draw(seed: int | None) -> tuple[str, ...]:
     return () if seed is None else (f"drawn with seed {seed}: livelier than people are, most so in long gaps",)
 
 
-def network(seed: int | torch.Generator | None, missing: Tensor, progress: bool) -> Fill:
+def network(seed: int | torch.Generator | None, missing: Tensor) -> Fill:
     """Returns what fills a motion (T) on the models' body by one answer (seed None), or by a draw.
 
     missing (22,): joints that the figure does not have.
     """
     if seed is None:
-        return by_windows(completer.load(NETWORK).complete, missing, progress)
+        return by_windows(completer.load(NETWORK).complete, missing)
     model = completer.load(DRAWS)
     draws = torch.Generator().manual_seed(seed) if isinstance(seed, int) else seed
-    return by_windows(lambda motion, known: model.complete(motion, known, draws), missing, progress, onward=True)
+    return by_windows(lambda motion, known: model.complete(motion, known, draws), missing, onward=True)
 
 
 def _usual_method(gap: float, beyond: float) -> tuple[str, str]:

@@ -62,9 +62,8 @@ def _measured_noise(motion: Motion) -> Noise:
 
 
 def repaired(
-    motion: Motion, noise: Noise | None = None, *, method: str | None = None, drift: bool = False, plant: bool = True,
-    progress: bool = False,
-) -> Animated:  # fmt: skip
+    motion: Motion, noise: Noise | None = None, *, method: str | None = None, drift: bool = False, plant: bool = True
+) -> Animated:
     """Computes a motion (T) without glitches and noise, and says what was found.
 
     Frames that no body reaches (``cleaning``) are filled in from those around (``filling.inbetween``). Noise is then
@@ -91,7 +90,7 @@ def repaired(
     if jumps.any():
         spans = ", ".join(f"{a}" if b == a + 1 else f"{a}-{b - 1}" for a, b in runs(jumps))
         notes.append(f"frames that jump: {spans}; they are made anew from those around")
-        found = inbetween(motion, KeyMask.of(motion, ~jumps), method=method, plant=plant and quiet, progress=progress)
+        found = inbetween(motion, KeyMask.of(motion, ~jumps), method=method, plant=plant and quiet)
         motion = found.motion
         if quiet:
             return Animated(motion, (*notes, *found.notes))
@@ -104,7 +103,7 @@ def repaired(
     made = body.joints
     if noisy and method == "network":
         fill = partial(completer.load(ROUGH).complete, tremble=noise.turn)
-        made = body.corrected(by_windows(fill, body.missing_joints, progress))
+        made = body.corrected(by_windows(fill, body.missing_joints))
     how = ", and the network corrects what that blurs" if method == "network" else " by a smoother alone"
     notes += ["noise is smoothed away" + how] * noisy
     if drift:
@@ -184,9 +183,7 @@ def _from_handles(given: Motion, which: Tensor) -> Motion:
     return with_contacts(baselines.smoothed(made, window) if window > 2 else made)
 
 
-def generated(
-    seconds: float, *, start: Motion | None = None, seed: int = 0, plant: bool = True, progress: bool = False
-) -> Animated:
+def generated(seconds: float, *, start: Motion | None = None, seed: int = 0, plant: bool = True) -> Animated:
     """Draws a new motion of so many seconds on the standard body, or what may follow on ``start``, which stays.
 
     New motion begins with two seconds at once; the rest goes on from what is there, piece by piece.
@@ -199,22 +196,22 @@ def generated(
         raise DataError(f"cannot make {seconds:g} s of motion", place="--seconds", remedy=remedy)
     draws = torch.Generator().manual_seed(seed)
     if start is None:
-        return _new(round(seconds * FPS), draws, plant, progress)
+        return _new(round(seconds * FPS), draws, plant)
     more = max(round(seconds * start.fps), 1)
     index = torch.arange(start.frames + more).clamp(max=start.frames - 1)
     longer = replace(start.clip(index), contacts=None)
     keep = KeyMask.of(longer, torch.arange(len(index)) < start.frames)
     body = Rig.of(longer, curves(longer, keep), keep)
-    motion = body.to_own_rig(body.corrected(network(draws, body.missing_joints, progress)), plant=plant)
+    motion = body.to_own_rig(body.corrected(network(draws, body.missing_joints)), plant=plant)
     return Animated(motion, (f"made by the model {DRAWS}, which goes on from the end", *body.notes(plant)))
 
 
-def _new(frames: int, draws: torch.Generator, plant: bool, progress: bool) -> Animated:
+def _new(frames: int, draws: torch.Generator, plant: bool) -> Animated:
     motion = _on_floor(motion_model(PLAIN).sample(1, draws, steps=_MANY).clip(0))
     if frames > WINDOW:
         motion = motion.clip(torch.arange(frames).clamp(max=WINDOW - 1))
         known = (torch.arange(frames) < WINDOW)[:, None].expand(-1, len(STANDARD) + 2)
-        motion = network(draws, torch.zeros(len(STANDARD), dtype=torch.bool), progress)(motion, known)
+        motion = network(draws, torch.zeros(len(STANDARD), dtype=torch.bool))(motion, known)
     motion = motion.cut(0, frames)
     if plant:
         motion = lock_feet(motion.clip(None), slow=False).clip(0)

