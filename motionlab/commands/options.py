@@ -5,7 +5,7 @@ import argparse
 import contextlib
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -20,14 +20,24 @@ _DRAW = "draw one of the motions that are possible, by the network; none: its on
 _CUT = {"type": float, "nargs": 2, "metavar": ("FROM", "TO")}
 
 
+class _Parser(argparse.ArgumentParser):
+    """What a command does not know is answered by that command."""
+
+    def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:
+        options, unknown = self.parse_known_args(words)
+        if unknown:
+            self.commands.choices[options.command].error(f"unrecognized arguments: {' '.join(unknown)}")
+        return options
+
+
 def parser() -> argparse.ArgumentParser:
     """Returns what parses a command line."""
-    whole = argparse.ArgumentParser(prog="motionlab", formatter_class=argparse.RawDescriptionHelpFormatter)
+    whole = _Parser(prog="motionlab", formatter_class=argparse.RawDescriptionHelpFormatter)
     whole.description = "Draws, converts, mends and makes human motion, and finds it in videos."
     whole.epilog = "example:\n  motionlab show walk.bvh --out walk.mp4\n\n"
     whole.epilog += "motionlab COMMAND --help says what a command takes, with an example of its own."
-    commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND", title="commands")
-    add = partial(_add, commands)
+    whole.commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND", title="commands")
+    add = partial(_add, whole.commands)
     _add_motions(add)
     _add_animator(add)
     _add_fit(add)
