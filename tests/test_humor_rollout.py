@@ -8,7 +8,7 @@ import torch
 
 from motionlab import rotation
 from motionlab.errors import ShapeError
-from motionlab.humor import state
+from motionlab.humor import compiled, state
 from motionlab.humor.priors import Cvae
 from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
 from tests.rolled_inputs import F64, first_states
@@ -163,3 +163,17 @@ def test_ctrl_c_within_compiled_loops_is_heard_when_they_end(model, generator, i
                 rollout(model, first, z, with_prior=False)
         alarm.join()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_is_heard_once_and_by_whoever_listened():
+    heard, before = [], signal.signal(signal.SIGINT, lambda *said: heard.append(said[0]))
+    try:
+        with compiled.unbroken():
+            signal.raise_signal(signal.SIGINT)
+            assert not heard
+        assert heard == [signal.SIGINT]
+        with pytest.raises(ZeroDivisionError), compiled.unbroken():
+            signal.raise_signal(signal.SIGINT)
+            raise ZeroDivisionError
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -6,8 +6,11 @@ calls; here the whole chain is one call, and so is the way back. On the CPU, in 
 Source: numba compiles the loops where they first run and keeps them in ``__pycache__``.
 """
 
+import contextlib
 import math
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -31,12 +34,20 @@ def fits(first: Tensor, z: Tensor) -> bool:
     return first.device.type == "cpu" and len(first) < WIDE and kinds in ({torch.float32}, {torch.float64})
 
 
-def _run(loop: Callable, *arrays):
-    """What a loop returns. Ctrl-C in it is heard when it ends, as itself: numba makes a SystemError of it."""
+@contextlib.contextmanager
+def unbroken() -> Iterator[None]:
+    """Hears Ctrl-C at the end of the block: within a compiled loop its KeyboardInterrupt would become a SystemError."""
+    before, heard = signal.getsignal(signal.SIGINT), []
+    if not callable(before) or threading.current_thread() is not threading.main_thread():
+        yield  # no Python code hears it here
+        return
+    signal.signal(signal.SIGINT, lambda *said: heard.append(said))
     try:
-        return loop(*arrays)
-    except SystemError as error:
-        raise error.__cause__ or error from None
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if heard:
+        before(*heard[-1])
 
 
 class Chain(torch.autograd.Function):
@@ -56,7 +67,8 @@ class Chain(torch.autograd.Function):
         ctx.fixed = _array(gains), tuple(_array(w) for w in weights), _array(joint), scale
         across = tuple(_array(w.mT) for w in weights), _array(joint.mT), bias
         norming = scale, shift, ctx.groups, norms[0].eps
-        ctx.kept = _run(_onward, _array(first), _array(u), ctx.fixed[0], *across, *norming, _array(skip.mT))
+        with unbroken():
+            ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norming, _array(skip.mT))
         past, after, raw, z = (torch.from_numpy(x) for x in ctx.kept[:4])
         return past.clone(), after.clone(), raw[..., CHANGES:].clone(), z.clone()
 
@@ -67,7 +79,8 @@ class Chain(torch.autograd.Function):
         past, after, raw, _, *kept = ctx.kept
         bend = rotation.left_jacobian(torch.from_numpy(raw[..., ADDED:CHANGES]).unflatten(-1, (22, 3)))
         given = tuple(_array(d) for d in (d_past, d_after, d_logits, d_z))
-        d_x, d_u = _run(_back, *given, past, after, *kept, _array(bend), *ctx.fixed, ctx.groups, ctx.skip)
+        with unbroken():
+            d_x, d_u = _back(*given, past, after, *kept, _array(bend), *ctx.fixed, ctx.groups, ctx.skip)
         return None, torch.from_numpy(d_x), torch.from_numpy(d_u), None
 
 
