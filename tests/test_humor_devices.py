@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motionlab.humor import compiled, coordinates, testops
+from motionlab.humor import compiled, testops
 from motionlab.humor.feedback_solver import Plan
 from motionlab.humor.priors import InitGmm, Priors
 from motionlab.humor.testops import Schedule
@@ -44,7 +44,6 @@ def asked(kind, walk, camera):
 def test_nothing_of_a_fit_is_left_on_the_cpu_and_it_is_the_same_fit(kind, solver, walk, camera, kit, monkeypatch):
     """A made-up device: what a GPU would refuse is written down and computed all the same."""
     monkeypatch.setattr(compiled, "fits", lambda *each: False)  # loops of the CPU, whose roundings are their own
-    monkeypatch.setattr(coordinates, "_clip_by_clip", lambda z: False)
     observation, how = asked(kind, walk, camera)
     how |= {"schedule": FEW, "solver": solver}
     here = testops.fit(observation, kit, **how)

@@ -1,4 +1,4 @@
-"""The lean roll-out against a plain loop, finite differences and the official arrays; no clip sees another."""
+"""Roll-outs, samples and single steps; no clip sees another. Against a naive loop: ``test_humor_rollout_steered``."""
 
 import signal
 import threading
@@ -9,69 +9,18 @@ import torch
 from motionlab import rotation
 from motionlab.errors import ShapeError
 from motionlab.humor import compiled, state
-from motionlab.humor import rollout as chain
 from motionlab.humor.priors import Cvae
-from motionlab.humor.rollout import DecoderLayers, Stepper, decode_ahead, rollout, sample_rollout
-from tests.rolled_inputs import F64, first_states
+from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
+from tests.rolled_inputs import F64, first_states, network
 
 
 @pytest.fixture(scope="module")
 def model():
-    torch.manual_seed(0)
-    made = Cvae(64).to(F64)
-    with torch.no_grad():
-        made.decoder.net[-1].weight *= 0.3
-        for name, value in made.named_parameters():
-            if value.ndim == 1:  # norms that do something
-                value += 0.1 * torch.randn(value.shape, dtype=F64, generator=torch.Generator().manual_seed(len(name)))
-    return made.frozen()
+    return network(64)
 
 
 def latents(generator, batch, steps):
     return 0.7 * torch.randn(batch, steps, 48, generator=generator, dtype=F64)
-
-
-def plain(model, first, z):
-    """As it is written in the paper: into the newest state's frame, one transition, back into the world."""
-    x, states, logits, means = first, [], [], []
-    for now in z.unbind(1):
-        frame = state.heading(x)
-        past = state.localise(x, frame)
-        after, contacts = state.apply(past, model.decode(past, now))
-        x = state.globalise(after, frame)
-        states.append(x), logits.append(contacts), means.append(model.prior(past).mean)
-    return tuple(torch.stack(each, 1) for each in (states, logits, means))
-
-
-def loss(states, logits, means, z):
-    weights = torch.linspace(-1, 1, state.STATE, dtype=states.dtype)
-    return (states.square() * weights).sum() + logits.sin().sum() + 0.1 * (z - means).square().sum()
-
-
-@pytest.mark.parametrize("batch, steps", [(1, 1), (1, 9), (3, 4), (5, 1)])
-@pytest.mark.parametrize("loops", [False, True])
-def test_values_and_gradients_are_those_of_a_plain_loop(model, generator, batch, steps, loops):
-    first, z = first_states(generator, batch), latents(generator, batch, steps)
-    found = []
-    for lean in (True, False):
-        x, latent = first.clone().requires_grad_(), z.clone().requires_grad_()
-        if lean:
-            out = rollout(model, x, latent, loops=loops)
-            parts = out.states, out.contact_logits, out.prior.mean
-        else:
-            parts = plain(model, x, latent)
-        slopes = torch.autograd.grad(loss(*parts, latent), (x, latent))
-        found.append([*parts, *slopes])
-    for ours, theirs in zip(*found, strict=True):
-        torch.testing.assert_close(ours, theirs, atol=1e-10, rtol=1e-10)
-
-
-def test_control_the_plain_loop_is_sensitive(model, generator, monkeypatch):
-    """A wrong sign in the rotations would be seen: the test above is no tautology."""
-    first, z = first_states(generator, 2), latents(generator, 2, 5)
-    good = rollout(model, first, z, loops=False).states
-    monkeypatch.setattr(chain, "_QUATERNION", chain._QUATERNION.mT.contiguous())
-    assert (rollout(model, first, z, loops=False).states - good).abs().max() > 1e-2
 
 
 def test_one_bad_clip_leaves_the_others_alone(model, generator):
@@ -85,10 +34,9 @@ def test_one_bad_clip_leaves_the_others_alone(model, generator):
     assert leaf.grad[[0, 2]].isfinite().all()
 
 
-@pytest.mark.parametrize("loops", [False, True])
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
-def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, dtype, loops):
-    """The right axis up: the frame keeps its axes, the gradient is finite, and near by it is the plain loop's."""
+def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, dtype):
+    """The right axis up: the frame keeps its axes, and the gradient is finite."""
     net = Cvae(64).to(dtype).frozen()
     with torch.no_grad():
         net.decoder.net[-1].weight.zero_(), net.decoder.net[-1].bias.zero_()  # the state stays where it is
@@ -96,8 +44,7 @@ def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, 
     side = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]], dtype=dtype)
     first[0, state.SLICES["root_orient"]] = side.flatten()
     x, z = first.clone().requires_grad_(), latents(generator, 2, 3).to(dtype).requires_grad_()
-    out = rollout(net, x, z, loops=loops)
-    torch.testing.assert_close(out.states[0], plain(net, first, z)[0][0], atol=1e-5, rtol=0)
+    out = rollout(net, x, z)
     torch.testing.assert_close(out.states[0, -1], first[0], atol=1e-5, rtol=0)
     for slope in torch.autograd.grad(out.states.square().sum() + out.prior.mean.sum(), (x, z)):
         assert slope.isfinite().all()
@@ -105,11 +52,19 @@ def test_a_body_exactly_on_its_side_has_no_heading_and_no_nan(model, generator, 
 
 @pytest.mark.parametrize("size", [0.0, 1e-30, 1e-8, 1e-4, 0.05, 0.1001, 1.0, 3.1, torch.pi, 6.3])
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
-def test_the_exponential_at_any_angle(model, generator, size, dtype):
-    step = Stepper(DecoderLayers.of(Cvae(64).to(dtype)))
-    way = torch.nn.functional.normalize(torch.randn(2, 22, 3, generator=generator, dtype=F64), dim=-1)
-    v = (size * way).to(dtype)
-    assert (step.exp(v).mT.to(F64) - rotation.exp(v.to(F64))).abs().max() < 10 * torch.finfo(dtype).eps
+def test_the_turn_of_a_step_at_any_angle(generator, size, dtype):
+    net, way = (
+        Cvae(64).to(dtype).frozen(),
+        torch.nn.functional.normalize(torch.randn(22, 3, generator=generator), dim=1),
+    )
+    with torch.no_grad():
+        net.decoder.net[-1].weight.zero_(), net.decoder.net[-1].bias.zero_()
+        net.decoder.net[-1].bias[state.ADDED : state.CHANGES] = size * way.flatten()
+    first = first_states(generator, 2).to(dtype)
+    found = rollout(net, first, latents(generator, 2, 1).to(dtype), with_prior=False).states[:, 0]
+    before, after = (x[:, state.ADDED :].unflatten(1, (22, 3, 3)).mT for x in (first, found))
+    local = rotation.exp((size * way).to(dtype))
+    assert (after - local @ before)[:, 1:].abs().max() < 20 * torch.finfo(dtype).eps
 
 
 def test_sample_is_the_roll_out_of_its_own_latents(model, generator):
@@ -157,13 +112,13 @@ def interruptible():
 def test_ctrl_c_within_compiled_loops_is_heard_when_they_end(model, generator, interruptible):
     """A signal from another thread, wherever it falls: never the SystemError that numba makes of it."""
     first, z = first_states(generator, 1), latents(generator, 1, 200)
-    rollout(model, first, z, loops=True)
+    rollout(model, first, z)
     for k in range(12):
         alarm = threading.Timer(0.01 + 0.002 * k, signal.raise_signal, [signal.SIGINT])
         alarm.start()
         with pytest.raises(KeyboardInterrupt):
             for _ in range(1000):
-                rollout(model, first, z, loops=True, with_prior=False)
+                rollout(model, first, z, with_prior=False)
         alarm.join()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 

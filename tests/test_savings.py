@@ -7,7 +7,7 @@ import torch
 
 from data_synth import clips, scenes
 from motionlab.footage.scene_fit import FULL_WORK
-from motionlab.humor import compiled, pretrained, stages, testops
+from motionlab.humor import pretrained, stages, testops
 from motionlab.humor.energies import JOINTS
 from studies.nb08_fast import trials
 from studies.shared import joints, profiling, savings
@@ -35,8 +35,7 @@ def nodes(work, found):
     return profiling.graph_nodes(sum(found.values()))
 
 
-def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(work, monkeypatch):
-    monkeypatch.setattr(compiled, "FEW", 0)  # in tensors
+def test_last_rung_is_what_every_fit_uses_and_the_first_is_the_faithful_mode(work):
     for on, form in ((LEAN, {}), (FAITHFUL, savings.OFFICIAL)):
         unknown = work.unknowns(WHOLE, on)
         with savings.weights_of(work.problem.priors, on):

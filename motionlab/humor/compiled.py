@@ -1,6 +1,6 @@
-"""Computes the chain of a roll-out in compiled loops: what ``rollout.Chain`` does in tensors, without a call per step.
+"""Computes the chain of a roll-out in compiled loops: what ``rollout`` does in tensors, without a call per step.
 
-A roll-out is a chain of small steps. In tensors each is some twenty calls, and for one clip nearly all the time is the
+A roll-out is a chain of small steps. In tensors each is some hundred calls, and for one clip nearly all the time is the
 calls; here the whole chain is one call, and so is the way back. On the CPU, in one thread.
 
 Source: numba compiles the loops where they first run and keeps them in ``__pycache__``.
@@ -19,19 +19,19 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from motionlab import rotation
+from motionlab.humor.priors import Cvae
+from motionlab.humor.state import ADDED, CHANGES, STATE, VECTORS
+from motionlab.parallel import WIDE
 
-#: Of ``state``, once more: what is compiled is kept for as long as this file stays as it is.
-_ADDED, _VECTORS, _CHANGES, _STATE = 141, 150, 207, 339
-PLACED = _STATE + 6  # numbers of a state and of its frame's place in the world
-FEW = 16  # clips: with one thread, loops and tensors take the same time for as many
+PLACED = STATE + 6  # numbers of a state and of its frame's place in the world
 _TINY = 1e-18  # what a turn or a right axis on the floor is at least, so that none divides by 0
 _loops = njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})  # NaN stays NaN
 
 
 def fits(first: Tensor, z: Tensor) -> bool:
-    """Says whether a roll-out is for loops: on the CPU, and of so few clips that torch is no faster (one thread)."""
+    """Says whether a roll-out is for loops: on the CPU, and of so few clips that torch would have one thread, too."""
     kinds = {first.dtype, z.dtype}
-    return first.device.type == "cpu" and len(first) <= FEW and kinds in ({torch.float32}, {torch.float64})
+    return first.device.type == "cpu" and len(first) < WIDE and kinds in ({torch.float32}, {torch.float64})
 
 
 @contextlib.contextmanager
@@ -50,29 +50,34 @@ def unbroken() -> Iterator[None]:
         before(*heard[-1])
 
 
-class LoopedChain(torch.autograd.Function):
-    """As ``rollout.Chain``: X_0 (B, 345), u (T, B, 48) and gains (T, B, 48, 345) -> X (T, B, 345), states in the
-    frame before (T, B, 339), contact logits (T, B, 9) and z (T, B, 48). All float32 or all float64."""
+class Chain(torch.autograd.Function):
+    """All steps, with first derivatives: from X_0 (B, 345), u (T, B, 48) and gains (T, B, 48, 345, or 0 for none) to X
+    (T, B, 345), states in the frame before (T, B, 339), contact logits (T, B, 9) and z (T, B, 48); float32 or 64."""
 
     @staticmethod
-    def forward(ctx, decoder, first: Tensor, u: Tensor, gains: Tensor):
-        """First derivatives only. decoder: ``rollout.DecoderLayers``."""
-        joint, ctx.groups, ctx.skip = torch.cat(decoder.z_weights), decoder.groups, _array(decoder.skip)
-        scale, shift, bias = (_array(torch.cat(each)) for each in (decoder.gains, decoder.shifts, decoder.biases))
-        ctx.fixed = _array(gains), tuple(_array(w) for w in decoder.weights), _array(joint), scale
-        across = tuple(_array(w.mT) for w in decoder.weights), _array(joint.mT), bias
-        norms = scale, shift, decoder.groups, decoder.eps
+    def forward(ctx, model: Cvae, first: Tensor, u: Tensor, gains: Tensor):
+        """Walks the chain by a model's decoder, whose weights get no gradients."""
+        linear = [layer for layer in model.decoder.net if isinstance(layer, torch.nn.Linear)]
+        norms = [layer for layer in model.decoder.net if isinstance(layer, torch.nn.GroupNorm)]
+        weights, zs = zip(*(layer.weight.tensor_split([-model.latent], 1) for layer in linear), strict=True)
+        skip = linear[-1].weight[:, :0] if model.skip is None else model.skip.weight
+        joint, ctx.groups, ctx.skip = torch.cat(zs), norms[0].num_groups, _array(skip)
+        scale, shift = (_array(torch.cat(each)) for each in zip(*(norm.parameters() for norm in norms), strict=True))
+        bias = _array(torch.cat([layer.bias for layer in linear]))
+        ctx.fixed = _array(gains), tuple(_array(w) for w in weights), _array(joint), scale
+        across = tuple(_array(w.mT) for w in weights), _array(joint.mT), bias
+        norming = scale, shift, ctx.groups, norms[0].eps
         with unbroken():
-            ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norms, _array(decoder.skip.mT))
+            ctx.kept = _onward(_array(first), _array(u), ctx.fixed[0], *across, *norming, _array(skip.mT))
         past, after, raw, z = (torch.from_numpy(x) for x in ctx.kept[:4])
-        return past.clone(), after.clone(), raw[..., _CHANGES:].clone(), z.clone()
+        return past.clone(), after.clone(), raw[..., CHANGES:].clone(), z.clone()
 
     @staticmethod
     @once_differentiable
     def backward(ctx, d_past: Tensor, d_after: Tensor, d_logits: Tensor, d_z: Tensor):
         """Gradients of X_0 and u."""
         past, after, raw, _, *kept = ctx.kept
-        bend = rotation.left_jacobian(torch.from_numpy(raw[..., _ADDED:_CHANGES]).unflatten(-1, (22, 3)))
+        bend = rotation.left_jacobian(torch.from_numpy(raw[..., ADDED:CHANGES]).unflatten(-1, (22, 3)))
         given = tuple(_array(d) for d in (d_past, d_after, d_logits, d_z))
         with unbroken():
             d_x, d_u = _back(*given, past, after, *kept, _array(bend), *ctx.fixed, ctx.groups, ctx.skip)
@@ -88,14 +93,14 @@ def _onward(first, u, gains, weights, joint, bias, scale, shift, groups, eps, sk
     """All steps; the arrays that the way back needs."""
     steps, batch, _ = u.shape
     hidden, kind = len(scale), u.dtype
-    past, after = np.empty((steps, batch, PLACED), kind), np.empty((steps, batch, _STATE), kind)
+    past, after = np.empty((steps, batch, PLACED), kind), np.empty((steps, batch, STATE), kind)
     raw, z = np.empty((steps, batch, len(bias) - hidden), kind), u.copy()
     turned, places = np.empty((steps, batch, 22, 3, 3), kind), np.empty((steps + 1, batch, 2, 3), kind)
     normed, outs = np.empty((steps, batch, hidden), kind), np.empty((steps, batch, hidden), kind)
     spread = np.empty((steps, batch, groups * (len(weights) - 1)), kind)
     share, x = np.empty((batch, len(bias)), kind), first.copy()
     for b in range(batch):
-        places[0, b] = first[b, _STATE:].copy().reshape(2, 3)
+        places[0, b] = first[b, STATE:].copy().reshape(2, 3)
     for t in range(steps):
         past[t] = x
         for b in range(batch):
@@ -166,10 +171,10 @@ def _normalise(h, scale, shift, eps, normed, spread, out):
 @_loops
 def _step(x, raw, after, turned, place, onward):
     """One step of one clip. x (345,) becomes the next; turned (22, 3, 3): exp(v)^T; place, onward (2, 3)."""
-    after[:_ADDED] = x[:_ADDED] + raw[:_ADDED]
+    after[:ADDED] = x[:ADDED] + raw[:ADDED]
     for j in range(22):
-        _exp(raw[_ADDED + 3 * j : _ADDED + 3 * j + 3], turned[j])
-        at = _ADDED + 9 * j
+        _exp(raw[ADDED + 3 * j : ADDED + 3 * j + 3], turned[j])
+        at = ADDED + 9 * j
         for r in range(0, 9, 3):
             for c in range(3):
                 after[at + r + c] = (
@@ -180,18 +185,18 @@ def _step(x, raw, after, turned, place, onward):
         moved = 1 if v == 0 or 3 <= v < 25 else 0  # those that are positions
         right, ahead = after[3 * v] - moved * after[0], after[3 * v + 1] - moved * after[1]
         x[3 * v], x[3 * v + 1], x[3 * v + 2] = right * cos + ahead * sin, ahead * cos - right * sin, after[3 * v + 2]
-    x[_VECTORS:_STATE] = after[_VECTORS:]
+    x[VECTORS:STATE] = after[VECTORS:]
     for r in range(2):
         p, q = place[r, 0], place[r, 1]
         onward[r, 0], onward[r, 1] = p * cos + q * sin, q * cos - p * sin
         onward[r, 2] = p * after[0] + q * after[1] + place[r, 2]
-        x[_STATE + 3 * r : _STATE + 3 * r + 3] = onward[r]
+        x[STATE + 3 * r : STATE + 3 * r + 3] = onward[r]
 
 
 @_loops
 def _heading(after):
     """Cosine and sine of the right axis on the floor; 1 and 0 where there is none."""
-    x, y = _TINY - after[_ADDED], -after[_ADDED + 1]
+    x, y = _TINY - after[ADDED], -after[ADDED + 1]
     size = math.sqrt(x * x + y * y)
     return x / size, y / size
 
@@ -222,7 +227,7 @@ def _back(
             if t < steps - 1:  # the last state's own frame is nobody's input
                 _back_frame(d_x[b], past[t + 1, b], after[t, b], places[t, b], d[b])
             _back_turns(d[b], after[t, b], bend[t, b], share[b, hidden:])
-            share[b, hidden + _CHANGES :] = d_logits[t, b]
+            share[b, hidden + CHANGES :] = d_logits[t, b]
         end, d_h = hidden, np.zeros((batch, weights[len(weights) - 1].shape[1]), joint.dtype)
         _add_product(share, hidden, weights[len(weights) - 1], d_h, 0)
         for k in range(len(weights) - 2, -1, -1):
@@ -259,33 +264,33 @@ def _back_frame(d_x, x, after, place, d):
         d[3 * v] += back_right
         d[3 * v + 1] += back_ahead
         d[3 * v + 2] += d_x[3 * v + 2]
-    d[_VECTORS:] += d_x[_VECTORS:_STATE]
+    d[VECTORS:] += d_x[VECTORS:STATE]
     for r in range(2):
-        at = _STATE + 3 * r
+        at = STATE + 3 * r
         p, q, s = d_x[at], d_x[at + 1], d_x[at + 2]
         # onward = place way, way = [[cos, -sin, x], [sin, cos, y], [0, 0, 1]]
         angle += place[r, 0] * (-p * sin - q * cos) + place[r, 1] * (p * cos - q * sin)
         right, ahead = right - place[r, 0] * s, ahead - place[r, 1] * s
         d_x[at], d_x[at + 1] = p * cos - q * sin + s * after[0], p * sin + q * cos + s * after[1]
     d[0], d[1] = d[0] - right, d[1] - ahead
-    size = after[_ADDED] * after[_ADDED] + after[_ADDED + 1] * after[_ADDED + 1]
+    size = after[ADDED] * after[ADDED] + after[ADDED + 1] * after[ADDED + 1]
     if size > 0:
-        d[_ADDED] -= angle * after[_ADDED + 1] / size
-        d[_ADDED + 1] += angle * after[_ADDED] / size
+        d[ADDED] -= angle * after[ADDED + 1] / size
+        d[ADDED + 1] += angle * after[ADDED] / size
 
 
 @_loops
 def _back_turns(d, after, bend, share):
     """Of the raw output (207,): what is added as it is, of each rotation vector dL/dv = w J."""
-    share[:_ADDED] = d[:_ADDED]
+    share[:ADDED] = d[:ADDED]
     for j in range(22):
-        at, wx, wy, wz = _ADDED + 9 * j, 0 * d[0], 0 * d[0], 0 * d[0]
+        at, wx, wy, wz = ADDED + 9 * j, 0 * d[0], 0 * d[0], 0 * d[0]
         for r in range(at, at + 9, 3):
             wx += after[r + 1] * d[r + 2] - after[r + 2] * d[r + 1]
             wy += after[r + 2] * d[r] - after[r] * d[r + 2]
             wz += after[r] * d[r + 1] - after[r + 1] * d[r]
         for c in range(3):
-            share[_ADDED + 3 * j + c] = wx * bend[j, 0, c] + wy * bend[j, 1, c] + wz * bend[j, 2, c]
+            share[ADDED + 3 * j + c] = wx * bend[j, 0, c] + wy * bend[j, 1, c] + wz * bend[j, 2, c]
 
 
 @_loops
@@ -305,9 +310,9 @@ def _back_norm(d_out, scale, normed, spread, out, d_in):
 @_loops
 def _back_state(d, turned, d_h, d_x):
     """Of the state that the step began with (339,): through the decoder, d_h, and past it."""
-    d_x[:_ADDED] = d_h[:_ADDED] + d[:_ADDED]
+    d_x[:ADDED] = d_h[:ADDED] + d[:ADDED]
     for j in range(22):
-        at = _ADDED + 9 * j
+        at = ADDED + 9 * j
         for r in range(at, at + 9, 3):
             for c in range(3):
                 e = turned[j, c]

@@ -86,23 +86,7 @@ def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
 @torch.inference_mode(False)
 @torch.no_grad()
 def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stride: int = 1) -> Whitening:
-    """Computes coordinates around the roll-out of unknowns (B, ...), networks differentiated at stride-th frames.
-
-    On a CPU one clip after another: the matrices of one stay in its cache.
-    """
-    if not _clip_by_clip(unknown.z):
-        return _linearised(problem, unknown, ridge, stride)
-    each = torch.arange(len(unknown.z)).split(1)
-    parts = [_linearised(problem.rows(i), unknown.rows(i), ridge, stride) for i in each]
-    fields = zip(Whitening._fields, zip(*parts, strict=True), strict=True)
-    return Whitening(*(torch.cat(x, 1 if name == "gains" else 0) for name, x in fields))
-
-
-def _clip_by_clip(z: Tensor) -> bool:
-    return z.device.type == "cpu" and len(z) > 1
-
-
-def _linearised(problem: Problem, unknown: Unknowns, ridge: float, stride: int) -> Whitening:
+    """Computes coordinates around the roll-out of unknowns (B, ...), networks differentiated at stride-th frames."""
     z, model = unknown.z, problem.priors.motion
     clips, frames = z.shape[0], z.shape[1] + 1
     first = unknowns.first_state(unknown, problem.priors)

@@ -31,6 +31,7 @@ from motionlab.optimise import BatchFit, minimise_batch
 
 _LEAST_STEP = 0.05  # of what a round must gain
 _RIDGE = 1e-4  # of the matrix that modes share
+_TRIAL_STRIDE = 4  # frames between those at which networks are differentiated before the first jumps, at least
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,7 @@ class Plan:
     (``mixture_modes``), if they promise more. halving_after: where a clip jumps, closures after which only the lowest
     search of each clip goes on; where that is the one that stayed, the clip jumps no more. 0: all go on, in every
     round. trial_rounds: before the first jumps; a second start, if there is one, goes along in them, else never.
-    trial_stride: the least stride of these. ridge: added to the matrix of z; damping: instead of it in the first
-    rounds, where the matrix is too sure of itself.
+    ridge: added to the matrix of z; damping: instead of it in the first rounds, where the matrix is too sure of itself.
     """
 
     rounds: int = 25
@@ -54,7 +54,6 @@ class Plan:
     stride: int = 1
     mode_jumps: int = 3
     trial_rounds: int = 2
-    trial_stride: int = 4
     ridge: float = 1e-6
     damping: tuple[float, ...] = ()
     min_gain: float = 0.0
@@ -62,8 +61,8 @@ class Plan:
 
     def __post_init__(self) -> None:
         may_be_0 = self.mode_jumps, self.trial_rounds
-        if min(self.rounds, self.closures, self.stride, self.trial_stride) < 1 or min(may_be_0) < 0:
-            raise ValueError(f"rounds, closures, strides: expected 1 or more, jumps, trial: 0 or more, got {self}")
+        if min(self.rounds, self.closures, self.stride) < 1 or min(may_be_0) < 0:
+            raise ValueError(f"rounds, closures, stride: expected 1 or more, jumps, trial: 0 or more, got {self}")
         if self.halving_after and not 0 < self.halving_after < self.closures - 1:
             raise ValueError(f"halving_after: expected closures and two more to be left after it, got {self}")
 
@@ -102,7 +101,7 @@ def solve(
         if not len(live):
             break
         trial = count < plan.trial_rounds
-        now = replace(plan, mode_jumps=0, stride=max(plan.stride, plan.trial_stride)) if trial else plan
+        now = replace(plan, mode_jumps=0, stride=max(plan.stride, _TRIAL_STRIDE)) if trial else plan
         now = replace(now, ridge=(*plan.damping, plan.ridge)[min(count, len(plan.damping))])
         here, name = unknown.rows(live), progress and f"{progress}, round {count + 1} of at most {plan.rounds}"
         try:

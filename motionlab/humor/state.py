@@ -19,7 +19,6 @@ from itertools import accumulate, pairwise
 import torch
 from torch import Tensor
 
-from motionlab import heading as headings
 from motionlab import rotation
 from motionlab.errors import check_shape
 from motionlab.heading import Frame, heading_frame
@@ -38,6 +37,9 @@ TURNED = ("root_orient", "pose_body")
 DELTA_SHAPES = SHAPES | {"root_orient": (3,), "pose_body": (21, 3), "contacts": (9,)}
 #: Where the parts end: what is added to, the vectors that a heading turns; of raw outputs the changes.
 ADDED, VECTORS, CHANGES = 141, 150, 207
+#: Which of the 50 vectors are positions.
+_PLACED = torch.zeros(VECTORS // 3, 1)
+_PLACED[0] = _PLACED[3:25] = 1
 
 
 def _slices(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, slice]:
@@ -136,12 +138,23 @@ def localise(state: Tensor, frame: Frame) -> Tensor:
 
     trans -> A (t + s), joints -> A (j + s), velocities and root orientation are turned by A, the pose stays.
     """
-    return _moved(state, frame, headings.world_to_local_positions, headings.world_to_local_orientations)
+    vectors, rest = _vectors(state)
+    moved = (vectors + _PLACED.to(state) * frame.shift[..., None, :]) @ frame.turn.mT
+    return torch.cat((moved.flatten(-2), rest), -1)
 
 
 def globalise(state: Tensor, frame: Frame) -> Tensor:
     """Computes world states (..., 339) from those in a frame: the inverse of :func:`localise`."""
-    return _moved(state, frame, headings.local_to_world_positions, headings.local_to_world_orientations)
+    vectors, rest = _vectors(state)
+    moved = vectors @ frame.turn - _PLACED.to(state) * frame.shift[..., None, :]
+    return torch.cat((moved.flatten(-2), rest), -1)
+
+
+def _vectors(state: Tensor) -> tuple[Tensor, Tensor]:
+    """The 50 vectors (..., 50, 3) that a heading turns, the rows of the transposed root orientation among them, and the
+    rest (..., 189)."""
+    check_shape(state, f"... {STATE}", "state")
+    return state[..., :VECTORS].unflatten(-1, (-1, 3)), state[..., VECTORS:]
 
 
 def transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
@@ -150,17 +163,6 @@ def transition_pairs(states: Tensor) -> tuple[Tensor, Tensor]:
     past, now = states[..., :-1, :], states[..., 1:, :]
     frame = heading(past)
     return localise(past, frame), localise(now, frame)
-
-
-def _moved(state, frame, positions, orientations) -> Tensor:
-    parts = unpack(state)
-    turned = Frame(frame.turn, torch.zeros_like(frame.shift))
-    return pack({
-        "trans": positions(frame, parts["trans"]), "trans_vel": positions(turned, parts["trans_vel"]),
-        "root_orient": orientations(frame, parts["root_orient"]),
-        "root_orient_vel": positions(turned, parts["root_orient_vel"]), "pose_body": parts["pose_body"],
-        "joints": positions(frame, parts["joints"]), "joints_vel": positions(turned, parts["joints_vel"]),
-    })  # fmt: skip
 
 
 def bone_lengths(state: Tensor) -> Tensor:
@@ -174,6 +176,6 @@ def apply(state: Tensor, raw: Tensor) -> tuple[Tensor, Tensor]:
 
     Additive, but for rotations: R' = exp(delta) R, multiplied from the left.
     """
-    parts, delta = unpack(state), unpack_delta(raw)
-    after = {n: rotation.exp(delta[n]) @ parts[n] if n in TURNED else parts[n] + delta[n] for n in SHAPES}
-    return pack(after), delta["contacts"]
+    added, turns, logits = raw.split((ADDED, CHANGES - ADDED, CONTACTS), -1)
+    matrices = state[..., ADDED:].unflatten(-1, (-1, 3, 3)) @ rotation.exp(turns.unflatten(-1, (-1, 3))).mT
+    return torch.cat((state[..., :ADDED] + added, matrices.flatten(-3)), -1), logits

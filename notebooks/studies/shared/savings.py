@@ -3,7 +3,7 @@
 Each saving can be switched on alone. With none, the closure is the official one, ``OFFICIAL``: rotations are vectors
 and are turned into matrices and back between any two parts, joints come from a full mesh, and a closure evaluates that
 mesh five times, three of them for one frame. With all of them, it is that of ``humor.unknowns``, which every fit uses
-by default, in tensors (``compiled`` is a saving more, of few clips on the CPU).
+by default.
 
 Source: thesis 3.2.4 (what is slow); the official HuMoR fitting code (Rempe et al. 2021), as measured: 5 body
 evaluations per closure of stage 3. The savings are ours.
@@ -104,7 +104,7 @@ def exact_alignment(orientation: Tensor) -> Tensor:
 def chain(model: Cvae, first: Tensor, z: Tensor, on: Savings) -> rollout.Rollout:
     """The roll-out from first states (B, 339), world, by latents (B, T, 48), with the prior of each."""
     if on.lean_layout:
-        found = rollout.rollout(model, first, z, with_prior=on.prior_after, loops=False)
+        found = rollout.rollout(model, first, z, with_prior=on.prior_after)
         if on.prior_after:
             return found
         past = torch.cat((first[:, None], found.states[:, :-1]), 1)
