@@ -212,26 +212,25 @@ def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
 
 
 def _motion(at: Location, lines: Iterator[str], width: int, fps: Fps) -> tuple[np.ndarray, float]:
-    header, places = [], []
+    header = []
     for key in ("Frames", "Frame Time"):
         line = next(lines, "")
         name, _, value = line.partition(":")
         if name.lower().split() != key.lower().split():
             raise at.error(f"expected '{key}:', got {line[:40]!r}, or it is truncated")
-        header.append(float(value))
-        places.append(at.place)
-    frames, frame_time = header
+        header.append((float(value), at.place))
+    (frames, promised), (frame_time, _) = header
     if fps is None and not 0 < frame_time < np.inf:
         raise at.error(f"the frame time must be above zero, got {frame_time}", remedy=judging.SAY_RATE)
     fps = frame_rate(at, _rate(at, frame_time, line) if fps is None else fps, remedy=judging.SAY_RATE)
     if frames < 1 or not width:
-        raise at.error("no frames" if width else "no channels", place=places[0], remedy="export at least one frame")
+        raise at.error("no frames" if width else "no channels", place=promised, remedy="export at least one frame")
     rows = [(at.place, line) for line in lines]
     if rows and abs(frames - len(rows)) == 1:  # some count from 0, and some the rest pose
         at.notes.append(f"the file promises {frames:g} frames and has {len(rows)}: those that are there are read")
     elif frames != len(rows):
         remedy = "copy the file again if it is truncated, or correct the number"
-        raise at.error(f"promises {frames:g} frames, the file has {len(rows)}", place=places[0], remedy=remedy)
+        raise at.error(f"promises {frames:g} frames, the file has {len(rows)}", place=promised, remedy=remedy)
     values = np.empty((len(rows), width))
     for row, (at.place, line) in zip(values, rows, strict=True):
         row[:] = floats(at, line.split(), width)

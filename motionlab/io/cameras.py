@@ -216,6 +216,7 @@ def _tables(at: Location) -> dict[str, Table]:
         found = _of_json(tomllib.loads(read_text(at)))
     else:
         raise at.error("no calibration of a known kind")
+    at.place = ""
     if not found:
         raise at.error("no camera in it")
     return found
@@ -329,7 +330,6 @@ def _colmap(at: Location) -> dict[str, Table]:
         fx, fy, (cx, cy, *distortion) = values[0], values[focal - 1], values[focal:]
         intrinsics = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
         found[words[0]] = {"intrinsics": intrinsics, "width": width, "height": height, "distortion": distortion}
-    at.place = ""
     return found
 
 
@@ -347,7 +347,6 @@ def _qualisys(at: Location) -> dict[str, Table]:
         place, rotation = values[4:7] / 1000, _FLIP @ values[7:16].reshape(3, 3)
         focal, centre = values[16:].reshape(2, 2) / _QUALISYS_PIXEL
         found[name] = _seen_from(focal, centre - (left, top), rotation, place, right - left + 1, bottom - top + 1)
-    at.place = ""
     return found
 
 
@@ -372,7 +371,6 @@ def _captury(at: Location) -> dict[str, Table]:
         rotation = np.stack((right, -up, np.cross(right, -up))) @ upright.T
         centre, high = (sensor / 2 + offset) * pixels, round(float(sensor[1] * pixels))
         found[str(index)] = _seen_from(focal, centre, rotation, upright @ origin / 1000, _CAPTURY_WIDTH, high)
-    at.place = ""
     return found
 
 

@@ -17,7 +17,8 @@ _KEYPOINT = ("keypoint", "keypoint_name", "keypoint_id", "joint", "landmark", "p
 _TIME = ("time", "timestamp", "time_ms", "timestamp_ms", "time_s")
 #: Columns of a point by their name, and their place in it; presence says less than visibility, z nothing.
 _AXES = {"x": 0, "y": 1, **dict.fromkeys(detections.SCORES, 2), "z": 3, "presence": 4}
-_AXIS = "|".join(_AXES)
+_AXIS = f"({'|'.join(_AXES)})"
+_COLUMN = re.compile(rf"{_AXIS}[_. ]?(\d+)|{_AXIS}[_. ](.+)|(.+)[_. ]{_AXIS}", re.IGNORECASE)
 #: Points and numbers a point that the lines of YOLO-pose may hold: COCO, Halpe, whole body.
 _YOLO = ((17, 3), (26, 3), (133, 3), (17, 2), (26, 2), (133, 2))
 _METRES = 10.0  # half of the coordinates of people in an image are larger
@@ -107,11 +108,8 @@ def _wide_points(at: Location, title: list[str]) -> list[tuple[str, list[int | N
     """Name and columns (x, y, confidence) of every point of a header such as X_NOSE, Y_NOSE or nose_x, nose_y."""
     found, latest = [], {}
     for k, cell in enumerate(title):
-        first = re.fullmatch(rf"({_AXIS})[_. ]?(\d+)|({_AXIS})[_. ](.+)", cell, re.IGNORECASE)
-        last = re.fullmatch(rf"(.+)[_. ]({_AXIS})", cell, re.IGNORECASE)
-        if first or last:
-            axis, name = (first[1] or first[3], first[2] or first[4]) if first else (last[2], last[1])
-            place = _AXES[axis.lower()]
+        if one := _COLUMN.fullmatch(cell):
+            place, name = _AXES[(one[1] or one[3] or one[6]).lower()], one[2] or one[4] or one[5]
             if name not in latest or latest[name][place] is not None:
                 latest[name] = [None] * 5
                 found.append((name, latest[name]))

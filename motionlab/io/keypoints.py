@@ -269,12 +269,11 @@ def _calibrate(at: Location, people: np.ndarray, size: tuple[float, float] | Non
 
 def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple[list[Person], list[str]]:
     """Tracks of frames of people (P, K, 3), and what is to be said of the file's ids (P)."""
-    shown = [np.flatnonzero((people[..., 2] > 0).any(-1)).tolist() for people in frames]
+    shown = [(n, k) for n, people in enumerate(frames) for k, seen in enumerate(people[..., 2] > 0) if seen.any()]
     notes: list[str] = []
     named: dict[int, list[tuple[int, int]]] = {}
-    for n, keys in enumerate(shown):
-        for k in keys:
-            named.setdefault(ids[n][k], []).append((n, k))
+    for n, k in shown:
+        named.setdefault(ids[n][k], []).append((n, k))
     if None not in named and all(len(dict(people)) == len(people) for people in named.values()):
         for name, same in tracking.continued(named, frames, gap=gap).items():
             if len(same) > 1:
@@ -283,17 +282,13 @@ def _told_apart(frames: list[np.ndarray], ids: list[list], *, gap: int) -> tuple
     else:
         if any(name is not None for here in ids for name in here):
             notes = ["the file's ids do not tell people apart: people are followed by where they are"]
-        alone = [(n, k) for n, keys in enumerate(shown) for k in keys]
-        named = dict(enumerate([alone] if max(map(len, shown)) == 1 else tracking.join(frames, gap=gap)))
+        named = dict(enumerate([shown] if len(dict(shown)) == len(shown) else tracking.join(frames, gap=gap)))
     for name, others in tracking.twins(named, frames).items():
         notes.append(f"people {_some([name, *others])} lie on each other: taken for one, {name}")
         for other in others:
             named[name] = sorted({**dict(named.pop(other)), **dict(named[name])}.items())
-    tracks = []
-    for name, people in named.items():
-        points = np.stack([frames[n][k] for n, k in people])
-        tracks.append(Person(name, np.array([n for n, _ in people]), points))
-    return tracks, notes
+    points = {name: np.stack([frames[n][k] for n, k in people]) for name, people in named.items()}
+    return [Person(name, np.array([n for n, _ in people]), points[name]) for name, people in named.items()], notes
 
 
 def _some(ids: Sequence[int]) -> str:

@@ -114,12 +114,11 @@ _BUILT = {
         "Double", "Float", "Half", "BFloat16", "Long", "Int", "Short", "Bool",
     )},
 }  # fmt: skip
-_SPARSE = re.compile(r"scipy\.sparse\.(?:_?cs[cr]\.)?(cs[cr])_(?:matrix|array)")
-_CHUMPY = re.compile(r"chumpy(?:\.\w+)*")
-#: What may lie beside what is asked for, and is no array.
-_PASSIVE = re.compile(
-    r"torch\.(?:_utils\._rebuild_\w+|(?:storage\.)?\w+Storage|serialization\._get_layout|device|bool|[a-z]+\d+\w*)"
-    r"|builtins\.complex|collections\.Counter"
+#: More records, by what they are called here: sparse matrices, chumpy's arrays, and what may lie beside what is asked
+#: for, and is no array.
+_RECORDS = re.compile(
+    r"scipy\.sparse\.(?:_?cs[cr]\.)?(cs[cr])_(?:matrix|array)|(chumpy)(?:\.\w+)+|(builtins\.complex|collections\.Counter"
+    r"|torch\.(?:_utils\._rebuild_\w+|(?:storage\.)?\w+Storage|serialization\._get_layout|device|bool|[a-z]+\d+\w*))"
 )
 
 
@@ -133,12 +132,8 @@ class _Reader(pickle._Unpickler):  # the one in Python: it asks for no more memo
         full = f"{_MOVED.get(module, module.replace('numpy.core.', 'numpy._core.'))}.{name}"
         if full in _BUILT:
             return _BUILT[full]
-        if sparse := _SPARSE.fullmatch(full):
-            return _record(sparse[1])
-        if _CHUMPY.fullmatch(module):
-            return _record("chumpy")
-        if _PASSIVE.fullmatch(full):
-            return _record(full)
+        if known := _RECORDS.fullmatch(full):
+            return _record(known[known.lastindex])
         raise _refused(self.at, f"{module}.{name}")
 
     def persistent_load(self, what: tuple) -> _Record:

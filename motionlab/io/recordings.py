@@ -77,11 +77,12 @@ def passed_over(folder: str | Path) -> list[str]:
     Raises:
         MissingData: see ``recordings``.
     """
-    folder, found = Path(folder), []
-    for name, place in _places(folder).items():
-        used = {path for _, path, _ in _files(name, place, place == folder, None)}
+    found = []
+    for name, place in _places(Path(folder)).items():
+        paths = [*place]
+        used = {path for _, path, _ in _files(name, paths, None)}
         kinds: dict[str, list[str]] = {}
-        for path in _below(place, place == folder):
+        for path in sorted(filter(Path.is_file, paths)):
             if not {path, path.parent} & used:
                 kinds.setdefault(path.suffix.lower(), []).append(path.name)
         for suffix, names in kinds.items():
@@ -136,14 +137,15 @@ def _size(value: Motion | Positions | Observation2D) -> tuple[int, float, int, f
     return value.frames, value.fps, len(value.names), float(mask.float().mean()), getattr(value, "notes", ())
 
 
-def _places(folder: Path) -> dict[str, Path]:
-    """The sources by name: the sub-folders, and the folder itself where files lie in it."""
+def _places(folder: Path) -> dict[str, Iterable[Path]]:
+    """What is in the sources, by name: in the sub-folders at any depth, and beside them where files lie there."""
     if folder.is_file():
-        return {folder.name: folder}
+        return {folder.name: [folder]}
     if not folder.is_dir():
         raise MissingData(f"the data folder {folder}", _SET)
-    places = {path.name: path for path in folder.iterdir() if path.is_dir()}
-    return places | ({folder.resolve().name: folder} if any(path.is_file() for path in folder.iterdir()) else {})
+    beside = [*folder.iterdir()]
+    places = {path.name: path.rglob("*") for path in beside if path.is_dir()}
+    return places | ({folder.resolve().name: beside} if any(path.is_file() for path in beside) else {})
 
 
 def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterator[tuple[str, str, Path, Callable]]:
@@ -151,15 +153,15 @@ def _found(folder: Path, source: str | None, video_fps: float | None) -> Iterato
     if source is not None and source not in places:
         raise MissingData(f"source {source!r} in {folder}", f"There are: {', '.join(sorted(places))}.")
     for name in sorted(places) if source is None else [source]:
-        for one in _files(name, places[name], places[name] == folder, video_fps):
+        for one in _files(name, places[name], video_fps):
             yield name, *one
     if one is None:
         raise MissingData(f"any recording in {folder}", "; ".join([*passed_over(folder), _SET]))
 
 
-def _files(name: str, place: Path, flat: bool, video_fps: float | None) -> Iterator[tuple[str, Path, Callable]]:
+def _files(name: str, place: Iterable[Path], video_fps: float | None) -> Iterator[tuple[str, Path, Callable]]:
     views = set()
-    for path in _below(place, flat):
+    for path in sorted(filter(Path.is_file, place)):
         suffix, head = path.suffix.lower(), b""
         if suffix in _TEXTS:  # told by their beginnings
             head = b'{"Frames"'  # of one that cannot be opened, its loader says so
@@ -178,8 +180,3 @@ def _may_be_motion(path: Path) -> bool:
     with suppress(Exception), zipfile.ZipFile(path) as archive:
         return any(name.removesuffix(".npy") in io.NPZ_LAYOUTS for name in archive.namelist())
     return True
-
-
-def _below(place: Path, flat: bool) -> list[Path]:
-    paths = [place] if place.is_file() else place.glob("*") if flat else place.rglob("*")
-    return sorted(path for path in paths if path.is_file())

@@ -19,15 +19,7 @@ from motionlab.files import write_whole
 from motionlab.io import judging
 from motionlab.io.judging import Axes, Fps
 from motionlab.io.pickles import array_of, arrays_of, read_pickle
-from motionlab.io.reading import (
-    Location,
-    check_keys,
-    checked_array,
-    frame_rate,
-    read_bytes,
-    read_npz,
-    reading,
-)
+from motionlab.io.reading import Location, check_keys, checked_array, frame_rate, read_bytes, read_npz, reading
 from motionlab.motion import Motion, single
 from motionlab.skeleton import STANDARD
 
@@ -114,8 +106,7 @@ def _turns(at: Location, arrays: dict[str, np.ndarray]) -> np.ndarray:
     if not whole and not (root and parts):
         raise at.error(f'neither "poses" nor "{(PARTS if root else ROOT)[0]}" is there', place="keys")
     keys = [whole] if whole else [root, parts]
-    turns = [_axis_angles(at, arrays[key], key) for key in keys]
-    turns = np.concatenate(turns, axis=1)
+    turns = np.concatenate([_axis_angles(at, arrays[key], key) for key in keys], axis=1)
     angles = np.linalg.norm(turns, axis=-1)
     if angles.any() and np.quantile(angles[angles > 0], 0.75) > 2 * np.pi:
         raise at.error("these are degrees", place=", ".join(keys), remedy="convert them to radians (numpy.deg2rad)")
