@@ -35,7 +35,9 @@ WORDS: dict[str, dict[str, str]] = {
 _BOTH = ("left", "right")
 #: What a skeleton has to have, or nobody can say how it stands.
 NEEDED = ("pelvis", *(f"{side}_{part}" for side in _BOTH for part in ("hip", "knee", "ankle")))
-_LIMBS = (("left_", "leg"), ("left_", "arm"), ("right_", "leg"), ("right_", "arm"), ("", "head"))
+#: Limb, and its standard joints from the trunk outwards.
+_LIMBS = [(limb, [f"{side}{part}" for part in WORDS[limb]])
+          for side, limb in (*product(("left_", "right_"), ("leg", "arm")), ("", "head"))]  # fmt: skip
 _SIDES = {
     **dict.fromkeys("l lf lft left 左".split(), "left"), **dict.fromkeys("r rt rgt right 右".split(), "right"),
     **dict.fromkeys("c m x center centre".split(), ""),
@@ -87,8 +89,7 @@ def find_joints(skeleton: Skeleton, path: object = None) -> dict[str, int]:
 def dropped_joints(skeleton: Skeleton, joints: dict[str, int]) -> list[int]:
     """Finds joints with others below them that stand where a standard joint is missing: what they do is lost."""
     above, lost, found = ancestors(skeleton.parents), set(), {*joints.values()}
-    for side, limb in _LIMBS:
-        chain = [f"{side}{part}" for part in WORDS[limb]]
+    for limb, chain in _LIMBS:
         known = [(place, joints[name]) for place, name in enumerate(chain) if name in joints]
         known = [(-1, joints["pelvis"] if limb == "leg" else joints.get("spine3", joints["pelvis"])), *known]
         for (i, a), (k, b) in pairwise(known):
@@ -124,17 +125,16 @@ def _found(names: tuple[str, ...], parents: tuple[int, ...], fixed: tuple[tuple[
     found = dict(fixed)
     below = Counter(j for path in above for j in path)
     rank = {j: k for k, j in enumerate(sorted(range(len(names)), key=lambda j: (-below[j], names[j])))}
-    for side, limb in _LIMBS:
-        words = [word if own == side.strip("_") else "" for own, word in said]
-        found |= _limb(limb, side, words, above, found, rank)
+    for _, chain in _LIMBS:
+        words = [word if own == chain[0].rpartition("_")[0] else "" for own, word in said]
+        found |= _limb(chain, words, above, found, rank)
     found = _trunk(above, found) | found
     top = found.get("spine3", found.get("pelvis"))
     if "neck" not in found and "spine3" in found:  # a spine that goes on above the arms
         column = [j for j, (_, word) in enumerate(said) if word == said[top][1] and top in above[j]]
         if all(a in above[b] for a, b in pairwise(column)):
             found |= dict(zip(("neck", "head"), column[:1] + column[1:][-1:], strict=False))
-    for side, limb in _LIMBS:
-        chain = [f"{side}{part}" for part in WORDS[limb]]
+    for limb, chain in _LIMBS:
         found |= _between(chain, None if limb == "leg" else top, parents, above, found)
     return {name: found[name] for name in STANDARD.names if name in found}
 
@@ -202,26 +202,25 @@ def ancestors(parents: Sequence[int]) -> list[tuple[int, ...]]:
 
 
 def _limb(
-    limb: str, side: str, said: list[str], above: list[tuple[int, ...]], fixed: dict[str, int], rank: dict[int, int]
+    chain: list[str], said: list[str], above: list[tuple[int, ...]], fixed: dict[str, int], rank: dict[int, int]
 ) -> dict[str, int]:
     """The reading of a limb that names most of its joints, each below the one above; of equals the first by rank."""
     choices = []
-    for part in WORDS[limb]:
-        ranks = _RANKS[part]
+    for name in chain:
+        ranks = _RANKS[name.rpartition("_")[2]]
         own = [(ranks[word], len(above[j]), rank[j], j) for j, word in enumerate(said) if word in ranks]
-        told = f"{side}{part}"
         # of joints with one name below each other (upperarm01, upperarm02) the upper is the joint
         own = [c for c in own if not any(said[c[-1]] == said[j] and j in above[c[-1]] for *_, j in own)]
         own = sorted(own)[:_MOST]
-        choices.append([(0, 0, 0, fixed[told])] if told in fixed else [None, *own])
+        choices.append([(0, 0, 0, fixed[name])] if name in fixed else [None, *own])
     best: tuple = ((0.0, 0, 0, 0), {})
     for way in product(*choices):
-        taken = [(part, choice) for part, choice in zip(WORDS[limb], way, strict=True) if choice]
+        taken = [(name, choice) for name, choice in zip(chain, way, strict=True) if choice]
         joints = [choice[-1] for _, choice in taken]
         if all(a in above[b] for a, b in pairwise(joints)):
-            count = sum(_COUNTS.get(part, 1.0) for part, _ in taken)
+            count = sum(_COUNTS.get(name.rpartition("_")[2], 1.0) for name, _ in taken)
             score = (count, *(-sum(choice[i] for _, choice in taken) for i in range(3)))
-            best = max(best, (score, {f"{side}{part}": choice[-1] for part, choice in taken}), key=lambda x: x[0])
+            best = max(best, (score, {name: choice[-1] for name, choice in taken}), key=lambda x: x[0])
     return best[1]
 
 

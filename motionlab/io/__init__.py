@@ -34,9 +34,8 @@ def _loader(loader: Callable, path: str | Path) -> Callable:
     """The loader itself; of an npz that whose keys the file has."""
     if loader is not load_npz:
         return loader
-    with reading(path, f"save one of the keys {', '.join(NPZ_LAYOUTS)}") as at:
-        with zipfile.ZipFile(at.path) as archive:
-            keys = {name.removesuffix(".npy") for name in archive.namelist()}
+    with reading(path, f"save one of the keys {', '.join(NPZ_LAYOUTS)}") as at, zipfile.ZipFile(at.path) as archive:
+        keys = {name.removesuffix(".npy") for name in archive.namelist()}
         found = [load for key, load in NPZ_LAYOUTS.items() if key in keys]
         if not found:
             raise at.error(f"no known layout; its keys are {', '.join(sorted(keys)[:20]) or 'none'}", place="keys")
