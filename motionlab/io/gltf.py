@@ -235,8 +235,7 @@ def _tree(at: Location, parent: dict[int, int], joints: list[int], nodes: list[d
                 raise at.error("the nodes form a circle", place=f"node {joint}")
     joints = sorted(joints, key=lambda joint: len(chains[joint]))
     roots = {joint: [node for node in chains[joint] if node in chains][-1] for joint in joints}
-    sizes = Counter(roots.values())
-    root, size = max(sizes.items(), key=lambda item: item[1])
+    (root, size), *_ = Counter(roots.values()).most_common(1)
     if size < 0.6 * len(joints):
         raise at.error("the joints are not one tree", place="skin")
     lost = [str(nodes[joint].get("name", joint)) for joint in joints if roots[joint] != root]

@@ -76,15 +76,13 @@ def _by_person(at: Location, tree: object) -> object:
     frames = [*tree.values()] if isinstance(tree, dict) else []
     if not frames or not all(isinstance(frame, dict) and {"tid", "smpl"} <= frame.keys() for frame in frames):
         return tree
-    people: dict[int, dict[str, list]] = {}
+    people: dict[int, list[dict]] = {}
     for frame in frames:
         for who, body, place, unseen in zip(*(frame[key] for key in _OF_FRAME), strict=True):
             if not array_of(at, unseen):
                 row = {"transl": place, "frame_ids": frame["time"]} | {key: body[key] for key in (ROOT[1], PARTS[1])}
-                own = people.setdefault(int(array_of(at, who)), {key: [] for key in row})
-                for key, value in row.items():
-                    own[key].append(value)
-    return {"phalp_cam": people}
+                people.setdefault(int(array_of(at, who)), []).append(row)
+    return {"phalp_cam": {who: {key: [row[key] for row in rows] for key in rows[0]} for who, rows in people.items()}}
 
 
 def _one_by_one(arrays: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
