@@ -15,7 +15,6 @@ al. 2017; Xiong et al. 2020).
 
 import math
 from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import torch
@@ -116,7 +115,7 @@ class Completer(nn.Module):
             tokens = tokens + self.noisy(noisy.unflatten(1, (-1, self.recipe.patch)).flatten(2))
             tokens = tokens + self.angle(torch.cat((waves.sin(), waves.cos()), -1))[:, None]
         said = self.said(self.encoder(tokens)).unflatten(2, (self.recipe.patch, -1)).flatten(1, 2)
-        return binomial_smoothed(said * _open(known))
+        return binomial_smoothed(said * ~known[..., OWNERS.to(known.device)])
 
     def filled(
         self, motion: Motion, known: Tensor, angle: Tensor | None = None, noise: Tensor | None = None,
@@ -127,13 +126,13 @@ class Completer(nn.Module):
         it under noise (B, T, ``MADE``; ``motion_noise``); None: nothing. One that ``refines`` reads all of it, and by
         how much joints trembled (B,), radians."""
         begun, open_ = self._begun(motion, known)
-        shown = None
+        scale, shown = self.sizes[1], None
         if angle is not None:
             turned = angle[:, None, None]
-            shown = (turned.cos() * (made(motion) - begun) / self.sizes[1] + turned.sin() * noise) * open_
+            shown = (turned.cos() * (made(motion) - begun) / scale + turned.sin() * noise) * open_
         elif self.recipe.diffusion:
             angle, shown = torch.full((len(begun),), math.pi / 2).to(begun), torch.zeros_like(begun)
-        return self._whole(motion, begun, known, shown, angle, tremble)
+        return motion_of(begun + self._added(motion, begun, known, shown, angle, tremble) * scale * open_, motion)
 
     def _begun(self, motion: Motion, known: Tensor) -> tuple[Tensor, Tensor]:
         """The guess (B, T, ``MADE``), and which of its numbers are open."""
@@ -141,29 +140,30 @@ class Completer(nn.Module):
             want = f"windows of {self.recipe.frames} frames, and {UNITS} units of each"
             raise ShapeError(f"expected {want}, got {tuple(motion.root.shape)} and {tuple(known.shape)}")
         begun = made(motion) if self.recipe.refines else guess(motion, known, *self.sizes)
-        return begun, _open(known)
+        return begun, ~known[..., OWNERS.to(known.device)]
 
-    def _whole(
+    def _added(
         self, motion: Motion, begun: Tensor, known: Tensor, shown: Tensor | None, angle: Tensor | None,
         tremble: Tensor | None = None,
-    ) -> Motion:  # fmt: skip
-        """The guess, and what is added to it where it is open."""
+    ) -> Tensor:  # fmt: skip
         seen = states(motion_of(begun, motion))
         with torch.autocast(begun.device.type, torch.bfloat16, enabled=self.halves):
             said = self(seen, known, motion.fps, shown, angle, tremble).float()
-        added = said if angle is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
-        return motion_of(begun + added * self.sizes[1] * _open(known), motion)
+        return said if angle is None else angle.cos()[:, None, None] * shown + angle.sin()[:, None, None] * said
 
     def _drawn(self, motion: Motion, known: Tensor, generator: torch.Generator, steps: int) -> Motion:
         """One draw for each window: DDIM, most steps near pure noise (``shifted_angles``)."""
         begun, open_ = self._begun(motion, known)
         x = motion_noise(known, motion.fps, generator).to(begun)
-        for a, after in pairwise(shifted_angles(torch.linspace(math.pi / 2, 0.0, steps + 1)).tolist()):
-            whole = self._whole(motion, begun, known, x, torch.full((len(x),), a).to(x))
+        angles = shifted_angles(torch.linspace(math.pi / 2, 0.0, steps + 1))
+        for a, after in zip(angles[:-1].tolist(), angles[1:].tolist(), strict=True):
+            added = self._added(motion, begun, known, x, torch.full((len(x),), a).to(x)) * open_
+            whole = motion_of(begun + added * self.sizes[1], motion)
             added = (made(whole) - begun) / self.sizes[1] * open_  # as in training, of 6-D numbers in order
             noise = (x - math.cos(a) * added) / math.sin(a)
             x = math.cos(after) * added + math.sin(after) * noise
-        x = binomial_smoothed(binomial_smoothed(x) * open_) * open_  # a little noise is left
+        for _ in range(2):  # a little noise is left
+            x = binomial_smoothed(x) * open_
         return motion_of(begun + x * self.sizes[1], motion)
 
     @torch.no_grad()
@@ -197,11 +197,6 @@ class Completer(nn.Module):
         world = local_to_world(frame, replace(local, root=root, rot=rot, contacts=(contacts > 0.5).to(root)))
         contacts = torch.where(known[..., -1:], motion.contacts, world.contacts)
         return replace(restore_known(world, motion, known), contacts=contacts)
-
-
-def _open(known: Tensor) -> Tensor:
-    """Which numbers (B, T, ``MADE``) are not known."""
-    return ~known[..., OWNERS.to(known.device)]
 
 
 def binomial_smoothed(x: Tensor) -> Tensor:
