@@ -294,10 +294,8 @@ def _stretches(own: Skeleton, theirs: Skeleton) -> tuple[Tensor, Skeleton, Tenso
     limbs = [joint for part in ("knee", "ankle", "elbow", "wrist") for joint in _pair(part)]
     # from between the hips to between the shoulders
     trunk, theirs_trunk = (rest[_pair("shoulder")].mean(0) - rest[_pair("hip")].mean(0) for rest in (before, after))
-    reach, theirs_reach = (
-        each.offsets[limbs].norm(dim=-1).sum() + 4 * high for each, high in ((own, trunk[1]), (theirs, theirs_trunk[1]))
-    )
-    size, high = theirs_reach / reach, theirs_trunk[1] / trunk[1]
+    reach, theirs_reach = (each.offsets[limbs].norm(dim=-1).sum() for each in (own, theirs))
+    size, high = (theirs_reach + 4 * theirs_trunk[1]) / (reach + 4 * trunk[1]), theirs_trunk[1] / trunk[1]
     lean = (theirs_trunk[2] - size * trunk[2]) / trunk[1]
 
     def bounded(ratio: Tensor) -> Tensor:

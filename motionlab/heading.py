@@ -88,6 +88,5 @@ def local_to_world_orientations(frame: Frame, orientations: Tensor) -> Tensor:
 
 def _spread(frame: Frame, axes: int) -> tuple[Tensor, Tensor]:
     """The frame's tensors with axes of size 1 behind its own, ``axes`` in all, to meet points per frame."""
-    more = (1,) * (axes - frame.shift.ndim + 1)
-    batch = frame.shift.shape[:-1]
-    return frame.turn.reshape(*batch, *more, 3, 3), frame.shift.reshape(*batch, *more, 3)
+    more = (None,) * (axes - frame.shift.ndim + 1)
+    return frame.turn[..., *more, :, :], frame.shift[..., *more, :]

@@ -89,9 +89,10 @@ def reach_targets(motion: Motion, names: Sequence[str], targets: Tensor, *, step
 
 def _damped_step(motion, handles, above, missing, known, weight) -> Motion:
     positions, turns = motion.world
-    jacobian = _jacobian(positions, handles, above) * known[..., None, None, None]
-    shift = torch.eye(3).to(positions).expand(*known.shape, 1, 3, 3) * known[..., None, None, None]
-    jacobian = torch.cat((jacobian, shift), -3)
+    # (..., K, J + 1, 3, 3): a handle's velocity by a turn of each joint above it about the world's axes; by a shift
+    lever = positions[..., handles, None, :] - positions[..., None, :, :]
+    shift = torch.eye(3).to(positions).expand(*known.shape, 1, 3, 3)
+    jacobian = torch.cat((-rotation.skew(lever) * above[..., None, None], shift), -3) * known[..., None, None, None]
     rows = jacobian.movedim(-2, -3).flatten(-4, -3).flatten(-2)  # (..., 3 K, 3 J)
     square = rows @ rows.mT + weight[..., None, None] * torch.eye(rows.shape[-2]).to(rows)
     step = (rows.mT @ torch.linalg.solve(square, missing.flatten(-2)[..., None]))[..., 0].unflatten(-1, (-1, 3))
@@ -101,10 +102,3 @@ def _damped_step(motion, handles, above, missing, known, weight) -> Motion:
     parent = parents[..., [p + 1 for p in motion.skeleton.parents], :, :]
     local = rotation.exp((parent.mT @ turn[..., None])[..., 0])
     return replace(motion, root=motion.root + shift, rot=local @ motion.rot)
-
-
-def _jacobian(positions: Tensor, handles: Sequence[int], above: Tensor) -> Tensor:
-    """(..., K, J, 3, 3): handle's velocity by a turn of joint j, which is ``above`` it (K, J), about the world's axes,
-    -skew(p_handle - p_j)."""
-    lever = positions[..., handles, None, :] - positions[..., None, :, :]
-    return -rotation.skew(lever) * above[..., None, None]

@@ -10,7 +10,8 @@ from motionlab import rotation
 from motionlab.errors import ShapeError
 from motionlab.humor import compiled, state
 from motionlab.humor.priors import Cvae
-from motionlab.humor.rollout import decode_ahead, rollout, sample_rollout
+from motionlab.humor.rollout import rollout, sample_rollout
+from studies.shared.one_step import decode_ahead
 from tests.rolled_inputs import F64, first_states, network
 
 

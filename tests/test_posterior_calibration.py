@@ -3,14 +3,17 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from scipy.stats import chi2, spearmanr
 
 from motionlab.contact import with_contacts
 from motionlab.observation import look_at
+from motionlab.viz.scene import Scene
 from studies.nb09_posterior import assumed_camera as assumed
 from studies.nb09_posterior import calibration as cal
+from studies.nb09_posterior import figures
 from studies.nb09_posterior.hidden_people import Clip
 from tests.draws import seeded
 from tests.fit_inputs import keypoints, side_camera, two_walks
@@ -110,3 +113,14 @@ def test_numbers_that_are_true_of_a_known_case(clip):
     pitched = replace(true, rotation=true.rotation.clone())
     pitched.rotation[:, 2] = assumed.turned(low.rotation[:, 2].double(), torch.tensor([0.1]).double())[0].float()
     assert assumed.true_numbers(seen, clip, pitched, FRAMES)[3].item() == pytest.approx(0.1, abs=1e-5)
+
+
+def test_a_region_has_its_half_axes_moves_and_goes():
+    shapes = np.stack([np.diag([0.01, 0.04, 0.09]), np.zeros((3, 3))])
+    with Scene((80, 80)) as scene:
+        figures.add_region(scene, [[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]], shapes, 1.0)
+        mesh = list(scene.plotter.renderer.actors.values())[-1].mapper.dataset
+        assert np.allclose(mesh.bounds, (-0.1, 0.1, -0.2, 0.2, 0.7, 1.3), atol=0.01)
+        for update in scene._updates:
+            update(1.0)
+        assert np.allclose(mesh.bounds, (2.0, 2.0, 0.0, 0.0, 1.0, 1.0))

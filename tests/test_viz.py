@@ -368,14 +368,3 @@ def test_a_film_has_a_bar_where_somebody_watches(tmp_path, capsys):
     assert capsys.readouterr().err == ""
     film(standing(), tmp_path / "walk.mp4", progress=True, **how)
     assert "film walk.mp4" in capsys.readouterr().err
-
-
-def test_an_ellipsoid_has_its_half_axes_moves_and_goes():
-    shapes = np.stack([np.diag([0.01, 0.04, 0.09]), np.zeros((3, 3))])
-    with Scene((80, 80)) as scene:
-        scene.ellipsoid([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]], shapes, 1.0)
-        mesh = list(scene.plotter.renderer.actors.values())[-1].mapper.dataset
-        assert np.allclose(mesh.bounds, (-0.1, 0.1, -0.2, 0.2, 0.7, 1.3), atol=0.01)
-        for update in scene._updates:
-            update(1.0)
-        assert np.allclose(mesh.bounds, (2.0, 2.0, 0.0, 0.0, 1.0, 1.0))

@@ -12,6 +12,7 @@ not per number (half the held-out error after the same training).
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from typing import Self
 
 import torch
@@ -45,13 +46,11 @@ class Layout:
     @cached_property
     def slices(self) -> dict[str, slice]:
         """Columns of each group: root, orient, pose, root_vel, rot_vel, contacts, as far as a frame has them."""
-        found, at = {}, 0
         sizes = {"root": 3, "orient": 6, "pose": 6 * (_J - 1)}
         sizes |= {"root_vel": 3, "rot_vel": 6 * _J} if self.velocities else {}
         sizes |= {"contacts": _C} if self.contacts else {}
-        for name, size in sizes.items():
-            found[name], at = slice(at, at + size), at + size
-        return found
+        stops = accumulate(sizes.values())
+        return {name: slice(stop - size, stop) for (name, size), stop in zip(sizes.items(), stops, strict=True)}
 
     @property
     def size(self) -> int:
@@ -77,7 +76,7 @@ class Layout:
             if motion.contacts is None:
                 raise DataError("motion without contacts", place=motion.name, remedy="contact.with_contacts labels it")
             parts["contacts"] = motion.contacts.to(motion.root)
-        return torch.cat([parts[name] for name in self.slices], -1)
+        return torch.cat(list(parts.values()), -1)
 
     def decode(self, rows: Tensor, fps: float, skeleton: Skeleton | None = None) -> Motion:
         """Computes the motion (..., T) of rows (..., T, size); velocities are not read, contacts: above a half."""

@@ -42,9 +42,7 @@ def _sines(count: int, size: int) -> Tensor:
     """(count, size): sin and cos of position times 10000^(-2i / size), interleaved (Vaswani et al. 2017)."""
     position = torch.arange(count, dtype=torch.float32)[:, None]
     rate = torch.exp(torch.arange(0, size, 2, dtype=torch.float32) * (-math.log(10000.0) / size))
-    table = torch.zeros(count, size)
-    table[:, 0::2], table[:, 1::2] = torch.sin(position * rate), torch.cos(position * rate)
-    return table
+    return torch.stack(((position * rate).sin(), (position * rate).cos()), -1).flatten(1)
 
 
 class Denoiser(nn.Module):

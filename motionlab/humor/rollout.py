@@ -133,13 +133,3 @@ def infer(model: Cvae, states: Tensor) -> tuple[Gaussian, Gaussian]:
     """Computes posterior and prior (B, T - 1, 48) of every transition of world states (B, T, 339), all at once."""
     past, now = state.transition_pairs(states)
     return model.posterior(past, now), model.prior(past)
-
-
-def decode_ahead(model: Cvae, states: Tensor, z: Tensor) -> Tensor:
-    """Computes one transition from every state at once: (B, T, 339), entry [b, t] predicts the state t + 1.
-
-    states (B, T, 339), world; z (B, T, 48) of the transition out of each state.
-    Source: thesis 3.3.1, the decoupled roll-out with one decoding step.
-    """
-    found = rollout(model, states.flatten(0, 1), z.flatten(0, 1)[:, None], with_prior=False).states
-    return found.unflatten(0, states.shape[:2])[:, :, 0]

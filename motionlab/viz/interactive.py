@@ -1,7 +1,6 @@
 """What reacts in JupyterLab: a time slider over motions, and an experiment whose knobs redraw its picture."""
 
 import asyncio
-import base64
 import contextlib
 import html
 import inspect
@@ -17,7 +16,7 @@ from PIL import Image
 
 from motionlab.body import BodyModel
 from motionlab.motion import Motion
-from motionlab.viz.movie import Film, jpeg, stage
+from motionlab.viz.movie import Film, data_url, jpeg, stage
 from motionlab.viz.scene import Scene
 
 _RATE = 25  # steps of the slider per second
@@ -213,6 +212,5 @@ def _shown(picture: np.ndarray | Figure | Film) -> str:
     else:
         Image.fromarray(picture).save(buffer, "png")
     width, height = Image.open(buffer).size
-    data = base64.b64encode(buffer.getvalue()).decode()
     room = f"width: {width}px; aspect-ratio: {width} / {height}; max-width: min(100%, {60 * width / height:.0f}vh)"
-    return f'<img style="{room}" src="data:image/png;base64,{data}">'
+    return f'<img style="{room}" src="{data_url("image/png", buffer.getvalue())}">'

@@ -49,6 +49,11 @@ def meshes(occluders: Sequence[object]) -> list[Mesh]:
     return [(o.vertices, o.faces) for o in occluders]
 
 
+def data_url(kind: str, content: bytes) -> str:
+    """Returns content of a kind, such as "image/png", as a URL that holds it."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
 @dataclass(frozen=True)
 class Film:
     """A written movie of ``seconds`` of motion, ``speed`` times as fast as life; shows itself in a notebook.
@@ -62,10 +67,9 @@ class Film:
     poster: bytes
 
     def _repr_html_(self) -> str:
-        data = base64.b64encode(self.path.read_bytes()).decode()
-        still = f"data:image/jpeg;base64,{base64.b64encode(self.poster).decode()}"
+        still, film = data_url("image/jpeg", self.poster), data_url("video/mp4", self.path.read_bytes())
         look = f'controls loop autoplay muted playsinline style="max-width:100%" poster="{still}"'
-        return f'<video {look} src="data:video/mp4;base64,{data}"></video>'
+        return f'<video {look} src="{film}"></video>'
 
 
 def write_film(

@@ -103,8 +103,8 @@ class Scene(contextlib.AbstractContextManager):
         self._framing = None
         return self
 
-    def _move(self, update: Callable[[float], None]) -> Self:
-        """Calls a function of the time now, and whenever that changes."""
+    def moving(self, update: Callable[[float], None]) -> Self:
+        """Calls a function of the time in seconds now, and whenever that changes."""
         self._updates.append(update)
         update(self.seconds)
         return self
@@ -114,10 +114,7 @@ class Scene(contextlib.AbstractContextManager):
         self._floor, self._framing = True, None
         return self
 
-    def skeleton(
-        self, motion: Motion, role: str | tuple = "ours", *, opacity: float = 1.0, panel: int = 0,
-        frame: int | None = None, shadow: float = 0.42, framed: bool = True,
-    ) -> Self:  # fmt: skip
+    def skeleton(self, motion: Motion, role: str | tuple = "ours", *, opacity: float = 1.0, **how) -> Self:
         """Adds a figure with volume, its left side light and its right side dark; options as of :meth:`body`."""
         figure = mannequin.build(single(motion).skeleton, colour(role))
 
@@ -125,7 +122,7 @@ class Scene(contextlib.AbstractContextManager):
             return figure.pose(*(mannequin.array(whole[index]) for whole in now.world))
 
         show = partial(mannequin.add_surface, paint=figure.colours, opacity=opacity)
-        return self._surface(motion, shape, figure.faces, show, panel, frame, shadow, framed)
+        return self._surface(motion, shape, figure.faces, show, **how)
 
     def exchange(self, motion: Motion, *, panel: int = 0) -> Self:
         """Puts another motion, of the same joints, into a panel's last framed figure or body."""
@@ -137,12 +134,11 @@ class Scene(contextlib.AbstractContextManager):
 
     def body(
         self, body: BodyModel, motion: Motion, role: str | tuple = "ours", *, field: Tensor | None = None,
-        title: str = "", limits: tuple[float, float] | None = None, cmap: str = "viridis", opacity: float = 1.0,
-        panel: int = 0, frame: int | None = None, shadow: float = 0.42, framed: bool = True,
-        shown: Sequence[bool] | None = None,
+        title: str = "", limits: tuple[float, float] | None = None, cmap: str = "viridis", opacity: float = 1.0, **how,
     ) -> Self:  # fmt: skip
         """Adds the skin of a body moved by a motion; a ``field`` (V,) is painted on it, with a bar named ``title``.
 
+        how: panel, frame, shadow, framed and shown.
         ``frame`` holds one frame; by default it moves with the scene's time. ``shadow`` is how dark its shadow is, 0
         for none. ``shown`` says in which of the motion's frames there is somebody; by default in all. What is not
         ``framed`` does not decide where the eye stands.
@@ -151,10 +147,13 @@ class Scene(contextlib.AbstractContextManager):
         if field is not None:
             show = partial(mannequin.add_field, values=mannequin.array(field), title=title, limits=limits, cmap=cmap)
         faces = body.faces.cpu().numpy()
-        motion = single(motion)
-        return self._surface(motion, partial(_skin, body), faces, show, panel, frame, shadow, framed, shown)
+        return self._surface(single(motion), partial(_skin, body), faces, show, **how)
 
-    def _surface(self, motion, shape, faces, show, panel, frame, shadow, framed, shown=None) -> Self:
+    def _surface(
+        self, motion: Motion, shape: Callable[[Motion, int], np.ndarray], faces: np.ndarray, show: Callable, *,
+        panel: int = 0, frame: int | None = None, shadow: float = 0.42, framed: bool = True,
+        shown: Sequence[bool] | None = None,
+    ) -> Self:  # fmt: skip
         if frame is not None:
             if not -motion.frames <= frame < motion.frames:
                 raise IndexError(f"frame {frame}: the motion has {motion.frames}")
@@ -187,7 +186,7 @@ class Scene(contextlib.AbstractContextManager):
         if framed:
             self._figures[panel] = (held, len(self._seen[panel]))
             self._watch(panel, positions, motion.fps)
-        return self._move(update)
+        return self.moving(update)
 
     def mesh(self, vertices, faces, paint=LINE, *, opacity: float = 1.0, framed: bool = True, panel: int = 0) -> Self:
         """Adds a mesh of vertices (V, 3), metres, and faces (F, 3) that stands still: a table."""
@@ -203,22 +202,6 @@ class Scene(contextlib.AbstractContextManager):
         balls = pv.PolyData(at).glyph(geom=ball, scale=False, orient=False)
         self._panel(panel).add_mesh(balls, color=colour(role), reset_camera=False, **mannequin.SKIN)
         return self._watch(panel, at[None])
-
-    def ellipsoid(self, centres, shapes, fps: float, role="ours", *, panel: int = 0) -> Self:
-        """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves;
-        where S is zero there is none."""
-        size, axes = np.linalg.eigh(np.asarray(shapes, float))
-        roots = axes * np.sqrt(np.maximum(size, 0.0))[:, None]
-        at, mesh = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
-        unit = np.array(mesh.points)
-        look = {"lighting": False, "reset_camera": False, "render": False}
-        self._panel(panel).add_mesh(mesh, color=colour(role), opacity=0.4, **look)
-
-        def update(seconds: float) -> None:
-            now = int(np.clip(round(seconds * fps), 0, len(at) - 1))
-            mesh.points = unit @ roots[now].T + at[now]
-
-        return self._move(update)
 
     def trail(self, motion: Motion, joint: str, role: str | tuple = "ours", *, panel: int = 0) -> Self:
         """Adds the whole path of a joint."""

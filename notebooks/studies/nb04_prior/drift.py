@@ -17,10 +17,11 @@ from motionlab.bench import by_person
 from motionlab.humor import evidence, state, testops
 from motionlab.humor.energies import JOINTS, KEYPOINTS
 from motionlab.humor.priors import Cvae, Priors
-from motionlab.humor.rollout import decode_ahead, infer, rollout, sample_rollout
+from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.metrics import tilt_and_bend
 from motionlab.motion import Motion
 from motionlab.training import quality
+from studies.shared.one_step import decode_ahead
 
 HIDDEN_BELOW = 0.9  # metres: the height of the table behind which legs are hidden
 

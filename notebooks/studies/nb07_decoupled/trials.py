@@ -23,7 +23,7 @@ from motionlab.humor import state, testops
 from motionlab.humor.energies import JOINTS, RGB_LIGHT
 from motionlab.humor.evidence import Observation2D, Observation3D, evidence
 from motionlab.humor.priors import Priors
-from motionlab.humor.rollout import decode_ahead, infer, rollout
+from motionlab.humor.rollout import infer, rollout
 from motionlab.humor.stages import Problem
 from motionlab.humor.testops import Schedule
 from motionlab.humor.unknowns import motion_of
@@ -32,6 +32,7 @@ from studies.nb07_decoupled.energy import Unknown, posed, prior_of, to_persisten
 from studies.nb07_decoupled.search import Found, Plan, search
 from studies.shared.clips import part
 from studies.shared.joints import noisy
+from studies.shared.one_step import decode_ahead
 from studies.shared.sitting import seated
 
 

@@ -6,6 +6,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+import pyvista as pv
 from matplotlib.figure import Figure
 from PIL import Image
 from scipy.stats import binom
@@ -46,11 +47,29 @@ def staged(
     for name in AROUND:
         joint = draws.fit.skeleton.index(name)
         hidden = shape[:, joint] * draws.hidden[:, joint, None, None]
-        scene.ellipsoid(centre[:, joint], hidden, draws.fit.fps, REGION, panel=last)
+        add_region(scene, centre[:, joint], hidden, draws.fit.fps, panel=last)
     for panel in range(len(panels)):
         for vertices, faces in things:
             scene.mesh(vertices[0].numpy(), faces.numpy(), "#b9a88f", opacity=0.3, framed=False, panel=panel)
     return scene
+
+
+def add_region(scene: Scene, centres: np.ndarray, shapes: np.ndarray, fps: float, *, panel: int = 0) -> None:
+    """Adds the region (x - c)^T S^-1 (x - c) <= 1 of centres c (T, 3) and shapes S (T, 3, 3), metres, as it moves;
+    where S is zero there is none."""
+    size, axes = np.linalg.eigh(np.asarray(shapes, float))
+    roots = axes * np.sqrt(np.maximum(size, 0.0))[:, None]
+    at, mesh = np.asarray(centres, float), pv.Sphere(radius=1.0, theta_resolution=24, phi_resolution=24)
+    unit = np.array(mesh.points)
+    scene.plotter.subplot(0, panel)
+    look = {"lighting": False, "reset_camera": False, "render": False}
+    scene.plotter.add_mesh(mesh, color=colour(REGION), opacity=0.4, **look)
+
+    def update(seconds: float) -> None:
+        now = int(np.clip(round(seconds * fps), 0, len(at) - 1))
+        mesh.points = unit @ roots[now].T + at[now]
+
+    scene.moving(update)
 
 
 def picture(draws: Draws, body: BodyModel, seconds: float, **how) -> np.ndarray:
