@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab.errors import NotConverged, ShapeError
+from motionlab.errors import NotConverged, ShapeError, check_shape
 
 _C1, _C2 = 1e-4, 0.9  # sufficient decrease, curvature
 _LONGEST, _SHRINK, _RETREATS = 25, 0.1, 8  # evaluations of a line search; what follows a trial that is not finite
@@ -56,12 +56,12 @@ def _descent(
     """The way of one clip down: yields steps, and is sent what was found there; or a turn, and is sent of the direction
     the slope, the largest entry, the sum of the gradient's and how many pairs made it. Returns why it stopped."""
     energy, pairs, trial = math.inf, 1, (yield 0.0)
-    if not trial.finite:
-        return "non-finite"
     for count in itertools.count():
-        in_vain = not trial.energy < energy - tolerance_change
+        if trial is None or not trial.finite:
+            return "non-finite"
         if trial.steepest <= tolerance_grad:
             return "gradient"
+        in_vain = not trial.energy < energy - tolerance_change
         if in_vain and not pairs:  # down the gradient, without memory
             return "no decrease"
         if count >= iterations:
@@ -69,8 +69,6 @@ def _descent(
         slope, size, total, pairs = yield Turn(trial, in_vain)
         energy, first = trial.energy, 1.0 if pairs or unit else min(1.0, 1.0 / total)
         trial = yield from _strong_wolfe(trial._replace(step=0.0, slope=slope), first, size)
-        if trial is None:
-            return "non-finite"
 
 
 def _strong_wolfe(start: Trial, step: float, size: float) -> Generator[float, Trial, Trial | None]:
@@ -309,8 +307,7 @@ class _Batch:
         at = (self.x[rows] + steps[:, None] * self.d[rows]).requires_grad_()
         with torch.enable_grad():
             value = self.energy(self.named(at), rows)
-            if value.shape != rows.shape:
-                raise ShapeError(f"energy: expected shape ({len(rows)},), got {tuple(value.shape)}")
+            check_shape(value, rows.shape, "energy")
             (gradient,) = torch.autograd.grad(value.sum(), at)
         value = value.detach().to(at.dtype)
         usable = value.isfinite() & gradient.isfinite().all(-1)

@@ -129,9 +129,13 @@ def test_a_mixture_without_weight_has_no_modes(case):
     still = replace(problem, weights=replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.0)))
     with torch.no_grad():
         white = linearised(still, unknown)
-    assert feedback_solver._starts(still, unknown, white, 2, -1.0)[0].tolist() == [0, 1]
-    assert feedback_solver._starts(problem, unknown, white, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
-    assert feedback_solver._starts(problem, unknown, white, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
+    lax, every = Plan(mode_jumps=2, tolerance=-1.0), torch.ones(CLIPS, dtype=torch.bool)
+    assert feedback_solver._starts(still, unknown, white, every, lax)[0].tolist() == [0, 1]
+    assert feedback_solver._starts(problem, unknown, white, every, lax)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
+    once = replace(lax, mode_jumps=1)
+    assert feedback_solver._starts(problem, unknown, white, every, once)[0].tolist() == [0, 1, 0, 1]
+    only = feedback_solver._starts(problem, unknown, white, torch.tensor([False, True]), once)[0]
+    assert only.tolist() == [0, 1, 1]
 
 
 def test_a_person_who_stops_one_row_stops_its_clip_and_what_is_not_finite_is_nobodys():
@@ -149,7 +153,7 @@ def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
     once = replace(ALONE, rounds=1, closures=8)
     alone, _ = solve(problem, unknown, once)
 
-    def nowhere(problem, unknown, white, most, share):
+    def nowhere(problem, unknown, white, jumping, plan):
         stay = torch.arange(CLIPS).repeat(3)
         first = torch.zeros(3 * CLIPS, white.first.shape[1], dtype=F64)
         first[CLIPS : 2 * CLIPS], first[2 * CLIPS :] = torch.nan, 1e30
