@@ -199,9 +199,9 @@ def test_who_stays_after_a_race_jumps_no_more(case, monkeypatch, race):
     problem, unknown = case
     asked = []
 
-    def astray(problem, unknown, white, most, share):
-        asked.append(most)
-        every = torch.arange(len(white.first)).repeat(2 if most else 1)
+    def astray(problem, unknown, white, jumping, plan):
+        asked.append(plan.mode_jumps * int(jumping.any()))
+        every = torch.arange(len(white.first)).repeat(1 + asked[-1])
         first = torch.zeros(len(every), white.first.shape[-1], dtype=F64)
         first[CLIPS:] = 30.0
         return every, white.first[every], first
@@ -216,9 +216,9 @@ def test_a_plan_says_when_jumps_begin_how_sure_the_matrix_is_and_what_gain_is_no
     problem, unknown = case
     asked, ridges, plain = [], [], feedback_solver._starts
 
-    def starts(problem, unknown, white, most, share):
-        asked.append(most)
-        return plain(problem, unknown, white, most, share)
+    def starts(problem, unknown, white, jumping, plan):
+        asked.append(plan.mode_jumps * int(jumping.any()))
+        return plain(problem, unknown, white, jumping, plan)
 
     def linearise(problem, unknown, *, ridge, stride):
         ridges.append(ridge)
@@ -244,9 +244,9 @@ def test_of_a_batch_one_clip_may_leap_on(case, settled, monkeypatch):
     mixed = of_both(settled.rows(slice(0, 1)), unknown.rows(slice(1, 2)))
     rows, starts, search = [], feedback_solver._starts, feedback_solver.minimise_from
 
-    def forced(problem, unknown, white, most, share):
+    def forced(problem, unknown, white, jumping, plan):
         """A leap for each, of the second clip into nowhere."""
-        who, whitener, first = starts(problem, unknown, white, most, -1e9)
+        who, whitener, first = starts(problem, unknown, white, jumping, replace(plan, tolerance=-1e9))
         return who, whitener, torch.where((who[:, None] == 1) & (torch.arange(len(who)) >= CLIPS)[:, None], 30.0, first)
 
     def noted(problem, unknown, white, who, *args, **how):
