@@ -32,15 +32,16 @@ class NotConverged(RuntimeError):
     """A procedure stopped before its tolerance was met."""
 
 
-def check_shape(x: "Tensor", pattern: str, name: str) -> dict[str, int]:
+def check_shape(x: "Tensor", pattern: str | tuple[int, ...], name: str) -> dict[str, int]:
     """Checks the trailing axes of a tensor and returns the sizes that the pattern names.
 
     The pattern is words separated by spaces: ``...`` (first only) for any batch axes, a number for
-    a fixed size, a name for a free one. A name that occurs twice must have one size.
+    a fixed size, a name for a free one. A name that occurs twice must have one size. Or it is a shape.
 
     Raises:
         ShapeError: naming the tensor, the expected and the actual shape.
     """
+    pattern = pattern if isinstance(pattern, str) else " ".join(map(str, pattern))
     words = pattern.split()
     batched = words[:1] == ["..."]
     words, found, sizes = words[batched:], tuple(x.shape), {}

@@ -125,9 +125,7 @@ class Observation2D:
 
     def __post_init__(self) -> None:
         check_shape(self.keypoints, f"... T {len(self.names)} 2", "keypoints")
-        if self.confidence.shape != self.keypoints.shape[:-1]:
-            expected = tuple(self.keypoints.shape[:-1])
-            raise ShapeError(f"confidence: expected shape {expected}, got {tuple(self.confidence.shape)}")
+        check_shape(self.confidence, self.keypoints.shape[:-1], "confidence")
         if not 0 < self.fps < math.inf:
             raise ShapeError(f"fps: expected a positive number, got {self.fps}")
 

@@ -1,7 +1,8 @@
 """Minimises B independent energies at once by L-BFGS: memory, direction and line search belong to each clip alone.
 
-One evaluation (closure) serves all clips, each of which is a state machine: while one still searches along its line,
-another is iterations ahead. What a clip does is what ``torch.optim.LBFGS`` with strong Wolfe would do to it alone.
+One evaluation (closure) serves all clips, each of which is a generator (``_descent``): while one still searches along
+its line, another is iterations ahead. What a clip does is what ``torch.optim.LBFGS`` with strong Wolfe would do to it
+alone.
 
 Source: Nocedal and Wright, Numerical Optimization, algorithms 7.4, 3.5 and 3.6; constants of ``torch.optim.LBFGS``.
 Differs: torch evaluates the start of each outer step once more and cuts its last line search short; here neither. A
@@ -9,6 +10,7 @@ trial that is not finite is taken back towards the last finite one. A search wit
 and tries steepest descent once. torch ignores pairs with a curvature below 1e-10 in the energy's own unit.
 """
 
+import itertools
 import math
 import sys
 import time
@@ -20,18 +22,19 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from motionlab.errors import NotConverged, ShapeError
+from motionlab.errors import NotConverged, ShapeError, check_shape
 
 _C1, _C2 = 1e-4, 0.9  # sufficient decrease, curvature
 _LONGEST, _SHRINK, _RETREATS = 25, 0.1, 8  # evaluations of a line search; what follows a trial that is not finite
 
 
 class Trial(NamedTuple):
-    """A point of a line search: step, energy, directional derivative, gradient (N,) there."""
+    """A point of a line search: step, energy, directional derivative, the gradient (N,) there and its largest entry."""
 
     step: float
     energy: float
     slope: float
+    steepest: float
     gradient: Tensor
 
     @property
@@ -40,8 +43,37 @@ class Trial(NamedTuple):
         return math.isfinite(self.energy) and math.isfinite(self.slope)
 
 
-def _strong_wolfe(start: Trial, step: float, size: float, eps: float) -> Generator[float, Trial, Trial]:
-    """Yields steps, is sent what was found there, returns the trial to go on from: ``start`` if none is lower.
+class Turn(NamedTuple):
+    """Where a clip goes on from in a new direction, and whether its memory did not help it to get there."""
+
+    at: Trial
+    in_vain: bool
+
+
+def _descent(
+    iterations: int, tolerance_grad: float, tolerance_change: float, unit: bool
+) -> Generator[float | Turn, Trial | list[float], str]:
+    """The way of one clip down: yields steps, and is sent what was found there; or a turn, and is sent of the direction
+    the slope, the largest entry, the sum of the gradient's and how many pairs made it. Returns why it stopped."""
+    energy, pairs, trial = math.inf, 1, (yield 0.0)
+    for count in itertools.count():
+        if trial is None or not trial.finite:
+            return "non-finite"
+        if trial.steepest <= tolerance_grad:
+            return "gradient"
+        in_vain = not trial.energy < energy - tolerance_change
+        if in_vain and not pairs:  # down the gradient, without memory
+            return "no decrease"
+        if count >= iterations:
+            return "steps"
+        slope, size, total, pairs = yield Turn(trial, in_vain)
+        energy, first = trial.energy, 1.0 if pairs or unit else min(1.0, 1.0 / total)
+        trial = yield from _strong_wolfe(trial._replace(step=0.0, slope=slope), first, size)
+
+
+def _strong_wolfe(start: Trial, step: float, size: float) -> Generator[float, Trial, Trial | None]:
+    """Yields steps, is sent what was found there, returns the trial to go on from: ``start`` if none is lower, None
+    where numbers stopped being finite.
 
     size: largest entry of the direction. Ends early where the bracket is below 1e-9 of the variables' unit, as torch's,
     or where all that is still to be won is below the energy's rounding.
@@ -65,13 +97,13 @@ def _strong_wolfe(start: Trial, step: float, size: float, eps: float) -> Generat
         further = _cubic(before, now, now.step + 0.01 * (now.step - before.step), 10 * now.step)
         before, now = now, (yield from _finite(further, now))
     if now is None:
-        return before
+        return None
     low, high = (before, now) if before.energy <= now.energy else (now, before)
     stuck = False
     while spent < _LONGEST:
         left, right = sorted((low.step, high.step))
         gain = (right - left) * max(abs(low.slope), abs(high.slope))
-        if (right - left) * size < 1e-9 or gain <= eps * abs(low.energy):
+        if (right - left) * size < 1e-9 or gain <= torch.finfo(start.gradient.dtype).eps * abs(low.energy):
             break
         step, margin = _cubic(low, high, left, right), 0.1 * (right - left)
         at_edge = min(right - step, step - left) < margin
@@ -80,7 +112,7 @@ def _strong_wolfe(start: Trial, step: float, size: float, eps: float) -> Generat
         stuck, spent = at_edge, spent + 1
         now = yield from _finite(step, low)
         if now is None:
-            break
+            return None
         if too_high(now) or now.energy >= low.energy:
             low, high = (low, now) if low.energy <= now.energy else (now, low)
             continue
@@ -212,145 +244,97 @@ def minimise_batch(
         NotConverged: no clip has a finite energy and gradient at the start.
         ShapeError: the energy is not (n,), or ``tolerance_change`` not (B,).
     """
-    machine = _Machine(energy, variables, memory, steps * inner, tolerance_grad, unit)
-    tolerance, each = torch.as_tensor(tolerance_change, dtype=torch.float64), (len(machine.clips),)
+    tolerance, each = torch.as_tensor(tolerance_change, dtype=torch.float64), (len(next(iter(variables.values()))),)
     if tolerance.ndim and tolerance.shape != each:
         raise ShapeError(f"tolerance_change: expected one number or {each}, got {tuple(tolerance.shape)}")
-    machine.tolerance_change = tolerance.expand(each).tolist()
+    clips = [_descent(steps * inner, tolerance_grad, float(most), unit) for most in tolerance.expand(each)]
+    batch = _Batch(energy, variables, clips, max(min(memory, steps * inner), 1))
     budget = steps * inner * 5 // 4 if max_closures is None else max_closures
     began, rest = time.perf_counter(), "closures"
     bar = tqdm(total=budget, desc=progress if isinstance(progress, str) else None, disable=not progress, leave=False)
     try:
-        while machine.running() and len(machine.history) < budget:
-            machine.advance()
+        while batch.steps and len(batch.history) < budget:
+            batch.advance()
             bar.update()
             if progress:
-                bar.set_postfix(energy=f"{machine.best_energy.mean():.4g}", clips=len(machine.running()))
+                bar.set_postfix(energy=f"{batch.best_energy.mean():.4g}", clips=len(batch.steps))
     except KeyboardInterrupt:
-        if not machine.history:
+        if not batch.history:
             raise
         rest = "interrupted"
     finally:
         bar.close()
-    history = torch.stack(machine.history) if machine.history else machine.best_energy.new_zeros(0, len(machine.x))
-    found = {name: value.clone() for name, value in machine.named(machine.best).items()}
-    reasons = [clip.reason or rest for clip in machine.clips]
-    return BatchFit(found, machine.best_energy, history, time.perf_counter() - began, reasons)
+    history = torch.stack(batch.history) if batch.history else batch.best_energy.new_zeros(0, len(batch.x))
+    found = {name: value.clone() for name, value in batch.named(batch.best).items()}
+    reasons = [batch.reasons.get(b, rest) for b in range(len(clips))]
+    return BatchFit(found, batch.best_energy, history, time.perf_counter() - began, reasons)
 
 
-@dataclass
-class _Clip:
-    """Where one clip stands: its running search, the step it asks for, and what the search began with."""
+class _Batch:
+    """All clips: points x, directions d and gradients g as rows of (B, N) tensors; the step that each of those that
+    still run asks for, and why the others stopped."""
 
-    search: Generator[float, Trial, Trial] | None = None
-    step: float = 0.0
-    energy: float = math.inf
-    steepest: bool = False  # the search goes down the gradient, without memory
-    iterations: int = 0
-    reason: str | None = None
-
-
-class _Machine:
-    """All clips: points x, directions d and gradients g as rows of (B, N) tensors; one state machine each."""
-
-    tolerance_change: list[float]  # of each clip
-
-    def __init__(
-        self, energy, variables: dict[str, Tensor], memory: int, iterations: int, tolerance_grad, unit
-    ) -> None:
-        self.iterations, self.tolerance_grad, self.unit = iterations, tolerance_grad, unit
+    def __init__(self, energy, variables: dict[str, Tensor], clips: list[Generator], memory: int) -> None:
         self.energy, self.shapes = energy, {name: value.shape[1:] for name, value in variables.items()}
         self.x = torch.cat([value.detach().reshape(len(value), -1) for value in variables.values()], dim=1)
         self.d, self.g = torch.zeros_like(self.x), torch.zeros_like(self.x)
         self.best, self.best_energy = self.x.clone(), self.x.new_full((len(self.x),), math.inf)
-        self.clips = [_Clip() for _ in self.x]
-        self.memory = Memory(self.x, max(min(memory, iterations), 1))
-        self.history: list[Tensor] = []
-
-    def running(self) -> list[int]:
-        return [b for b, clip in enumerate(self.clips) if clip.reason is None]
+        self.memory, self.history = Memory(self.x, memory), []
+        self.clips, self.steps, self.reasons = clips, {}, {}
+        self.answer(dict.fromkeys(range(len(clips))))
 
     def named(self, flat: Tensor) -> dict[str, Tensor]:
         """The variables by name, from rows (n, N)."""
         parts = flat.split([shape.numel() for shape in self.shapes.values()], dim=1)
         return {n: part.reshape(-1, *shape) for (n, shape), part in zip(self.shapes.items(), parts, strict=True)}
 
-    def evaluate(self, at: Tensor, live: list[int]) -> tuple[Tensor, Tensor]:
-        """Energies (B,) and gradients (B, N) at points (B, N), of those that live anew."""
-        rows = torch.tensor(live, device=at.device)
-        leaf = at[rows].requires_grad_()
-        with torch.enable_grad():
-            value = self.energy(self.named(leaf), rows)
-            if value.shape != leaf.shape[:1]:
-                raise ShapeError(f"energy: expected shape ({len(leaf)},), got {tuple(value.shape)}")
-            (gradient,) = torch.autograd.grad(value.sum(), leaf)
-        value = value.detach().to(at.dtype)
-        return self.best_energy.index_copy(0, rows, value), torch.zeros_like(self.g).index_copy(0, rows, gradient)
+    def answer(self, answers: dict[int, object]) -> dict[int, Turn]:
+        """Sends clips what they asked for, and returns the turns that some of them make then."""
+        turns = {}
+        for b, answer in answers.items():
+            try:
+                asked = self.clips[b].send(answer)
+                (turns if isinstance(asked, Turn) else self.steps)[b] = asked
+            except StopIteration as end:
+                self.reasons[b] = end.value
+                del self.steps[b]
+        return turns
 
     @torch.no_grad()
     def advance(self) -> None:
-        """One closure, and what every clip makes of it."""
-        live = self.running()
-        at = self.x + self.x.new_tensor([clip.step for clip in self.clips])[:, None] * self.d
-        value, gradient = self.evaluate(at, live)
+        """One closure, and what every clip that still runs makes of it."""
+        rows, steps = torch.tensor(list(self.steps), device=self.x.device), self.x.new_tensor(list(self.steps.values()))
+        at = (self.x[rows] + steps[:, None] * self.d[rows]).requires_grad_()
+        with torch.enable_grad():
+            value = self.energy(self.named(at), rows)
+            check_shape(value, rows.shape, "energy")
+            (gradient,) = torch.autograd.grad(value.sum(), at)
+        value = value.detach().to(at.dtype)
         usable = value.isfinite() & gradient.isfinite().all(-1)
         if not self.history and not usable.any():
             raise NotConverged("no clip has a finite energy and gradient at the start")
-        self.history.append(value)
-        better = usable & (value < self.best_energy)
-        self.best_energy = torch.where(better, value, self.best_energy)
-        self.best = torch.where(better[:, None], at, self.best)
-        seen = torch.stack((torch.where(usable, value, math.nan), (gradient * self.d).sum(-1)), -1).tolist()
-        ended: dict[int, Trial] = {}
-        for b in live:
-            clip, trial = self.clips[b], Trial(self.clips[b].step, *seen[b], gradient[b])
-            try:
-                if clip.search is None:
-                    ended[b] = trial
-                else:
-                    clip.step = clip.search.send(trial)
-            except StopIteration as end:
-                ended[b] = end.value
-            if b in ended and not trial.finite:
-                clip.reason = "non-finite"
-        if ended:
-            self.turn(ended)
+        self.history.append(self.best_energy.index_copy(0, rows, value))
+        better = usable & (value < self.best_energy[rows])
+        self.best_energy[rows[better]], self.best[rows[better]] = value[better], at[better]
+        slope, steepest = (gradient * self.d[rows]).sum(-1), gradient.abs().amax(-1)
+        seen = torch.stack((torch.where(usable, value, math.nan), slope, steepest), -1).tolist()
+        found = zip(self.steps.items(), seen, gradient, strict=True)
+        if turns := self.answer({b: Trial(step, *numbers, row) for (b, step), numbers, row in found}):
+            self.turn(turns)
 
-    def turn(self, ended: dict[int, Trial]) -> None:
-        """Move the clips whose searches have ended, and start their next searches or freeze them."""
-        trials, clips = list(ended.values()), [self.clips[b] for b in ended]
-        rows = torch.tensor(list(ended), device=self.x.device)
-        way = self.x.new_tensor([trial.step for trial in trials])[:, None] * self.d[rows]
-        gradient = torch.stack([trial.gradient for trial in trials])
+    def turn(self, turns: dict[int, Turn]) -> None:
+        """Move the clips whose searches have ended, and tell them of their new directions."""
+        rows = torch.tensor(list(turns), device=self.x.device)
+        gradient = torch.stack([turn.at.gradient for turn in turns.values()])
+        way = self.x.new_tensor([turn.at.step for turn in turns.values()])[:, None] * self.d[rows]
         self.memory.push(rows, way, gradient - self.g[rows])
+        self.memory.forget(rows[[turn.in_vain for turn in turns.values()]])
         self.x[rows] += way
         self.g[rows] = gradient
-        for b, clip, trial, steepest in zip(ended, clips, trials, gradient.abs().amax(-1).tolist(), strict=True):
-            in_vain = clip.search is not None and not trial.energy < clip.energy - self.tolerance_change[b]
-            clip.iterations += clip.search is not None
-            if clip.reason is None and steepest <= self.tolerance_grad:
-                clip.reason = "gradient"
-            elif clip.reason is None and in_vain and clip.steepest:
-                clip.reason = "no decrease"
-            elif clip.reason is None and clip.iterations >= self.iterations:
-                clip.reason = "steps"
-            elif in_vain:  # once more, down the gradient
-                self.memory.forget(torch.tensor([b], device=self.x.device))
         direction = self.memory.direction(rows, gradient)
-        slope = (direction * gradient).sum(-1)
-        uphill = ~(slope < 0)  # by rounding only
+        uphill = ~((direction * gradient).sum(-1) < 0)  # by rounding only
         self.memory.forget(rows[uphill])
-        direction = torch.where(uphill[:, None], -gradient, direction)
-        slope = torch.where(uphill, -gradient.square().sum(-1), slope)
+        direction[uphill] = -gradient[uphill]
+        self.d[rows], slope = direction, (direction * gradient).sum(-1)
         numbers = torch.stack((slope, direction.abs().amax(-1), gradient.abs().sum(-1), self.memory.pairs[rows]), -1)
-        eps = torch.finfo(self.x.dtype).eps
-        for k, (clip, trial, found) in enumerate(zip(clips, trials, numbers.tolist(), strict=True)):
-            slant, size, total, pairs = found
-            if clip.reason:
-                self.x[rows[k]], direction[k], clip.step = self.best[rows[k]], 0.0, 0.0
-                continue
-            clip.energy, clip.steepest = trial.energy, pairs == 0
-            first = 1.0 if pairs or self.unit else min(1.0, 1.0 / total)
-            clip.search = _strong_wolfe(Trial(0.0, trial.energy, slant, trial.gradient), first, size, eps)
-            clip.step = next(clip.search)
-        self.d[rows] = direction
+        self.answer(dict(zip(turns, numbers.tolist(), strict=True)))

@@ -27,6 +27,12 @@ def skew(v: Tensor) -> Tensor:
     return torch.stack((o, -z, y, z, o, -x, -y, x, o), dim=-1).unflatten(-1, (3, 3))
 
 
+def unskew(m: Tensor) -> Tensor:
+    """Computes the vector (..., 3) whose ``skew`` is the antisymmetric part of matrices (..., 3, 3)."""
+    part = (m - m.mT) / 2
+    return torch.stack((part[..., 2, 1], part[..., 0, 2], part[..., 1, 0]), -1)
+
+
 def exp(tangent: Tensor) -> Tensor:
     """Converts rotation vectors (..., 3) in radians to matrices (..., 3, 3), by Rodrigues' formula.
 

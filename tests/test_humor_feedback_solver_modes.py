@@ -129,9 +129,13 @@ def test_a_mixture_without_weight_has_no_modes(case):
     still = replace(problem, weights=replace(problem.weights, init_motion_prior=(0.0, 0.0, 0.0)))
     with torch.no_grad():
         white = linearised(still, unknown)
-    assert feedback_solver._starts(still, unknown, white, 2, -1.0)[0].tolist() == [0, 1]
-    assert feedback_solver._starts(problem, unknown, white, 2, -1.0)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
-    assert feedback_solver._starts(problem, unknown, white, 1, -1.0)[0].tolist() == [0, 1, 0, 1]
+    lax, every = Plan(mode_jumps=2, tolerance=-1.0), torch.ones(CLIPS, dtype=torch.bool)
+    assert feedback_solver._starts(still, unknown, white, every, lax)[0].tolist() == [0, 1]
+    assert feedback_solver._starts(problem, unknown, white, every, lax)[0].tolist() == [0, 1, 0, 0, 1, 1]  # control
+    once = replace(lax, mode_jumps=1)
+    assert feedback_solver._starts(problem, unknown, white, every, once)[0].tolist() == [0, 1, 0, 1]
+    only = feedback_solver._starts(problem, unknown, white, torch.tensor([False, True]), once)[0]
+    assert only.tolist() == [0, 1, 1]
 
 
 def test_a_person_who_stops_one_row_stops_its_clip_and_what_is_not_finite_is_nobodys():
@@ -149,7 +153,7 @@ def test_a_leap_to_nowhere_leaves_the_clip_where_it_was(case, monkeypatch):
     once = replace(ALONE, rounds=1, closures=8)
     alone, _ = solve(problem, unknown, once)
 
-    def nowhere(problem, unknown, white, most, share):
+    def nowhere(problem, unknown, white, jumping, plan):
         stay = torch.arange(CLIPS).repeat(3)
         first = torch.zeros(3 * CLIPS, white.first.shape[1], dtype=F64)
         first[CLIPS : 2 * CLIPS], first[2 * CLIPS :] = torch.nan, 1e30
@@ -195,9 +199,9 @@ def test_who_stays_after_a_race_jumps_no_more(case, monkeypatch, race):
     problem, unknown = case
     asked = []
 
-    def astray(problem, unknown, white, most, share):
-        asked.append(most)
-        every = torch.arange(len(white.first)).repeat(2 if most else 1)
+    def astray(problem, unknown, white, jumping, plan):
+        asked.append(plan.mode_jumps * int(jumping.any()))
+        every = torch.arange(len(white.first)).repeat(1 + asked[-1])
         first = torch.zeros(len(every), white.first.shape[-1], dtype=F64)
         first[CLIPS:] = 30.0
         return every, white.first[every], first
@@ -212,9 +216,9 @@ def test_a_plan_says_when_jumps_begin_how_sure_the_matrix_is_and_what_gain_is_no
     problem, unknown = case
     asked, ridges, plain = [], [], feedback_solver._starts
 
-    def starts(problem, unknown, white, most, share):
-        asked.append(most)
-        return plain(problem, unknown, white, most, share)
+    def starts(problem, unknown, white, jumping, plan):
+        asked.append(plan.mode_jumps * int(jumping.any()))
+        return plain(problem, unknown, white, jumping, plan)
 
     def linearise(problem, unknown, *, ridge, stride):
         ridges.append(ridge)
@@ -240,9 +244,9 @@ def test_of_a_batch_one_clip_may_leap_on(case, settled, monkeypatch):
     mixed = of_both(settled.rows(slice(0, 1)), unknown.rows(slice(1, 2)))
     rows, starts, search = [], feedback_solver._starts, feedback_solver.minimise_from
 
-    def forced(problem, unknown, white, most, share):
+    def forced(problem, unknown, white, jumping, plan):
         """A leap for each, of the second clip into nowhere."""
-        who, whitener, first = starts(problem, unknown, white, most, -1e9)
+        who, whitener, first = starts(problem, unknown, white, jumping, replace(plan, tolerance=-1e9))
         return who, whitener, torch.where((who[:, None] == 1) & (torch.arange(len(who)) >= CLIPS)[:, None], 30.0, first)
 
     def noted(problem, unknown, white, who, *args, **how):

@@ -74,12 +74,10 @@ def unwhiten(
 
 def apply_change(unknown: Unknowns, change: Tensor) -> Unknowns:
     """Computes unknowns after a change (B, f) of the first state and of what is shared."""
-    parts = dict(zip(FIRST, change[:, :_FIRST].split(list(FIRST.values()), -1), strict=True))
-    new = {n: getattr(unknown, n) + part for n, part in parts.items() if n != "orient"}
+    sizes = FIRST | {"betas": BETAS, "camera": change.shape[1] - _FIRST - BETAS}  # 0 where the camera is known
+    parts = dict(zip(sizes, change.split(list(sizes.values()), -1), strict=True))
+    new = {n: getattr(unknown, n) + part for n, part in parts.items() if n != "orient" and sizes[n]}
     new["orient"] = unknowns.from_matrix(rotation.exp(parts["orient"]) @ unknowns.to_matrix(unknown.orient), "lean")
-    new["betas"] = unknown.betas + change[:, _FIRST : _FIRST + BETAS]
-    if (free := change[:, _FIRST + BETAS :]).shape[1]:
-        new["camera"] = unknown.camera + free
     return replace(unknown, **new)
 
 
@@ -98,20 +96,20 @@ def linearised(problem: Problem, unknown: Unknowns, *, ridge: float = 1e-6, stri
     some, between = past[:, keys].flatten(0, 1), partial(between_keys, keys=keys, clips=clips)
     decoded = between(gauss_newton.decoder_slopes(model, some, z[:, keys].flatten(0, 1)))
     moves = gauss_newton.transition_slopes(model, past.flatten(0, 1), z.flatten(0, 1), decoded)
+    of_change, of_z, turn = (each.unflatten(0, (clips, -1)) for each in moves)
     prior_slopes = between(gauss_newton.prior_slopes(model, some))
     weights = problem.weights.of(3, frames=frames)
-    found = gauss_newton.residual_rows(
-        x, frame.turn, frame.shift, moves.turn.unflatten(0, (clips, -1)), unknown.betas, unknown.camera,
+    of_frame, before, after = gauss_newton.residual_rows(
+        x, frame.turn, frame.shift, turn, unknown.betas, unknown.camera,
         energies.contact_probabilities(rollout.contact_logits), problem.evidence, weights,
     )  # fmt: skip
-    of_change, b = (x.unflatten(0, (clips, -1)) for x in (moves.of_change, moves.of_z))
-    more = found.of_frame.shape[-1] - CHANGE  # shape and camera, which stay
-    a, b = F.pad(of_change, (0, more, 0, more)), F.pad(b, (0, 0, 0, more))
+    more = of_frame.shape[-1] - CHANGE  # shape and camera, which stay
+    a, b = F.pad(of_change, (0, more, 0, more)), F.pad(of_z, (0, 0, 0, more))
     a[..., CHANGE:, CHANGE:] = torch.eye(more).to(a)
     toward = prior_rows(z.flatten(0, 1), rollout.prior, prior_slopes, a.shape[-1], weights.get("motion_prior", 0.0))
-    pairs = torch.cat((found.after @ a + found.before, found.after @ b), -1)
+    pairs = torch.cat((after @ a + before, after @ b), -1)
     both = torch.cat((pairs, toward.unflatten(0, (clips, -1))), -2)
-    swept = riccati_sweep(found.of_frame.mT @ found.of_frame, a, b, both.mT @ both, ridge)
+    swept = riccati_sweep(of_frame.mT @ of_frame, a, b, both.mT @ both, ridge)
     gains, shared = _gains_on_states(swept.gains, past, frame)
     gains = gains.transpose(0, 1).contiguous()
     base = z - (gains.transpose(0, 1) @ inputs[..., None])[..., 0]

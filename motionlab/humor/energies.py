@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import Tensor
 
-from motionlab.errors import ShapeError, check_shape
+from motionlab.errors import check_shape
 from motionlab.humor.priors import Gaussian
 from motionlab.skeleton import STANDARD
 
@@ -134,8 +134,7 @@ def _touching(joints: Tensor, contacts: Tensor) -> Tensor:
     check_shape(joints, "B T N 3", "joints")
     if joints.shape[2] == len(STANDARD) and contacts.shape[2:] == (len(CONTACT_JOINTS),):
         joints = joints[:, :, CONTACT_JOINTS]
-    if contacts.shape != joints.shape[:3]:
-        raise ShapeError(f"contacts: expected shape {tuple(joints.shape[:3])}, got {tuple(contacts.shape)}")
+    check_shape(contacts, joints.shape[:3], "contacts")
     return joints
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from motionlab import rotation
 from motionlab.errors import DataError, ShapeError, check_shape
 from motionlab.humor.energies import UNUSED_BODY_25
-from motionlab.observation import BODY_25, Camera, Observation2D
+from motionlab.observation import BODY_25, Camera, Observation2D, look_at
 from motionlab.skeleton import STANDARD
 
 _SIZES = ((640, 480), (1280, 720), (1920, 1080), (3840, 2160))  # one is assumed that holds every detection
@@ -64,8 +64,7 @@ class Observation3D:
 
     def __post_init__(self) -> None:
         check_shape(self.points, "... T 22 3", "points")
-        if self.visible.shape != self.points.shape[:-1]:
-            raise ShapeError(f"visible: expected {tuple(self.points.shape[:-1])}, got {tuple(self.visible.shape)}")
+        check_shape(self.visible, self.points.shape[:-1], "visible")
         if not 0 < self.fps < float("inf"):
             raise ShapeError(f"fps: expected a positive number, got {self.fps}")
 
@@ -208,11 +207,10 @@ def _assumed_camera(values: Tensor, weight: Tensor, size: tuple[int, int] | None
     fits = [s for s in _SIZES if s[0] >= extent[0] and s[1] >= extent[1]]
     width, height = size or (fits[0] if fits else tuple(int(e) + 1 for e in extent))
     focal = (width**2 + height**2) ** 0.5
-    k = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    shift = -LEVEL @ torch.tensor([0.0, 0.0, ASSUMED_HEIGHT])
+    eye, ahead = torch.tensor([[0.0, 0.0, ASSUMED_HEIGHT], [0.0, 1.0, ASSUMED_HEIGHT]])
     guessed = "" if size else ", the size guessed from the detections"
     note = f"camera assumed: focal length {focal:.0f} px for an image of {width} x {height}{guessed}"
-    return Camera(k, LEVEL, shift, width, height), note
+    return look_at(eye, ahead, focal=focal, width=width, height=height), note
 
 
 def _batched(x: Tensor, axes: int) -> Tensor:

@@ -60,8 +60,7 @@ class Plan:
     halving_after: int = 0
 
     def __post_init__(self) -> None:
-        may_be_0 = self.mode_jumps, self.trial_rounds
-        if min(self.rounds, self.closures, self.stride) < 1 or min(may_be_0) < 0:
+        if min(self.rounds, self.closures, self.stride) < 1 or min(self.mode_jumps, self.trial_rounds) < 0:
             raise ValueError(f"rounds, closures, stride: expected 1 or more, jumps, trial: 0 or more, got {self}")
         if self.halving_after and not 0 < self.halving_after < self.closures - 1:
             raise ValueError(f"halving_after: expected closures and two more to be left after it, got {self}")
@@ -90,14 +89,13 @@ def solve(
         unknown = Unknowns(**{name: torch.cat((x, other[name].detach())) for name, x in unknown.named().items()})
     mark, fits = time.perf_counter(), []
     energy = unknown.betas.new_full((len(unknown.betas),), float("inf"))
-    live = every = torch.arange(len(energy), device=energy.device)
-    if len(energy) > clips:  # a second start that is the first is none
-        other = [(x != x[live % clips]).flatten(1).any(1) for x in unknown.named().values()]
-        live = live[torch.stack(other).any(0) | (live < clips)]
+    live = every = best = torch.arange(len(energy), device=energy.device)
+    other = [(x != x[live % clips]).flatten(1).any(1) for x in unknown.named().values()]
+    live = live[torch.stack(other).any(0) | (live < clips)]  # a second start that is the first is none
     jumping = torch.ones_like(energy, dtype=torch.bool)
     for count in range(plan.rounds):
         if count == plan.trial_rounds:
-            live = live[torch.isin(live, _lowest_rows(energy, clips))]
+            live = live[torch.isin(live, best)]
         if not len(live):
             break
         trial = count < plan.trial_rounds
@@ -120,23 +118,17 @@ def solve(
         for kept, new in zip(unknown.named().values(), found.named().values(), strict=True):
             kept[live[better]] = new[better]
         energy[live[better]] = fit.energy[better]
-        reasons = ["no decrease"] * len(energy)  # of the clips that are done, which stay at their energy
-        for at, reason in zip(live.tolist(), fit.reasons, strict=True):
-            reasons[at] = reason
+        ran = dict(zip(live.tolist(), fit.reasons, strict=True))  # those that are done stay at their energy
+        reasons = [ran.get(row, "no decrease") for row in range(len(energy))]
         history = energy.expand(len(fit.history), -1).index_copy(1, live, fit.history)
         whole = BatchFit({}, energy.clone(), history, time.perf_counter() - mark, reasons)
-        fits.append(_of_clips(whole, every % clips)[1])
-        done = plan.tolerance * energy[live].abs()
-        gained = gain > (done.clamp(min=plan.min_gain * (unknown.z.shape[1] + 1)) if plan.min_gain else done)
-        mark, live = time.perf_counter(), live if trial else live[gained]
+        best, report = _of_clips(whole, every % clips)
+        fits.append(report)
+        done = (plan.tolerance * energy[live].abs()).clamp(min=plan.min_gain * (unknown.z.shape[1] + 1))
+        mark, live = time.perf_counter(), live if trial else live[gain > done]
         if interrupted(fit):
             break
-    return unknown.rows(_lowest_rows(energy, clips)), fits
-
-
-def _lowest_rows(energy: Tensor, clips: int) -> Tensor:
-    """Of each clip the row (G,) with the lower energy, the former where there is none."""
-    return energy.unflatten(0, (-1, clips)).argmin(0) * clips + torch.arange(clips, device=energy.device)
+    return unknown.rows(best), fits
 
 
 def _round(
@@ -147,11 +139,7 @@ def _round(
     each clip's energy. jumping: bool (B,), clips that may jump; returned anew."""
     clips = len(size)
     white = linearise(problem, unknown, ridge=plan.ridge, stride=plan.stride)
-    who, whitener, first = _starts(problem, unknown, white, plan.mode_jumps if jumping.any() else 0, plan.tolerance)
-    if not jumping.all():
-        may = jumping[who]
-        may[:clips] = True
-        who, whitener, first = who[may], whitener[may], first[may]
+    who, whitener, first = _starts(problem, unknown, white, jumping, plan)
     how, enough = {"note": note, "progress": progress}, _LEAST_STEP * plan.tolerance * size
     race = plan.halving_after if len(who) > clips else 0
     args = who, whitener, first, race or plan.closures
@@ -185,9 +173,8 @@ def minimise_from(
     around = white.rows(who)._replace(first=whitener)
 
     def energy(new: Mapping[str, Tensor], rows: Tensor) -> Tensor:
-        these, at, near = some, here, around
-        if len(rows) < len(who):  # gains are large: no copies while all run
-            these, at, near = some.rows(rows), here.rows(rows), around.rows(rows)
+        every = some, here, around  # gains are large: no copies while all run
+        these, at, near = every if len(rows) == len(who) else (each.rows(rows) for each in every)
         at, rolled = unwhiten(these, at, near, new)
         found = sum(rolled_terms(these, rolled).values())
         note()
@@ -223,18 +210,19 @@ def _of_clips(fit: BatchFit, who: Tensor) -> tuple[Tensor, BatchFit]:
 # mixture's. H: their matrix (``Whitening.rest``). f, F: the first state's features and how they move. W_k, m_k, c_k:
 # whitener, mean and constant of the component; w: its weight.
 def _starts(
-    problem: Problem, unknown: Unknowns, white: Whitening, most: int, share: float
+    problem: Problem, unknown: Unknowns, white: Whitening, jumping: Tensor, plan: Plan
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Where searches begin: whose each of R rows is (R,), its whitener (R, f, f) of the first state and what is shared,
-    and its beginning in these coordinates (R, f). First all clips where they are, then at most ``most`` jumps of each,
-    to where the energy should be lower by more than ``share`` of its size, the mode of its own component included."""
+    and its beginning in these coordinates (R, f). First all clips where they are, then the jumps of those that may, to
+    where the energy should be lower by more than the plan's tolerance, the mode of its own component included."""
     clips, size = white.first.shape[:2]
     stay, here = torch.arange(clips, device=white.first.device), white.first.new_zeros(clips, size)
-    if not most or not _weight(problem, unknown):
+    if not (plan.mode_jumps and jumping.any() and _weight(problem, unknown)):
         return stay, white.first, here
     found = mixture_modes(problem, unknown, white)
-    gain, which = found.gain.topk(min(most, found.gain.shape[1]), 1)
-    who, k = (gain > share * found.energy.abs()[:, None]).nonzero().unbind(1)
+    gain, which = found.gain.topk(min(plan.mode_jumps, found.gain.shape[1]), 1)
+    worth = gain > plan.tolerance * found.energy.abs()[:, None]
+    who, k = (worth & jumping[:, None]).nonzero().unbind(1)
     whitener, begin = in_mode(white, found, who, which[who, k])
     return torch.cat((stay, who)), torch.cat((white.first, whitener)), torch.cat((here, begin))
 

@@ -55,18 +55,6 @@ _ABOVE = torch.cat((_BELOW - torch.eye(_J), _BELOW[:, CARRIERS]), 1)  # [k, p]: 
 _IN_GROUP = F.one_hot(torch.tensor(GROUP_OF), BETAS).float()
 
 
-class TransitionSlopes(NamedTuple):
-    """Derivatives of frame t + 1 in z and in a small change of frame t, N transitions.
-
-    of_change (N, 210, 210) and of_z (N, 210, 48): columns are causes. turn (N, 3, 3): from the axes of frame t to
-    those of frame t + 1 (as row vectors from the right, ``rollout.Step.turn``).
-    """
-
-    of_change: Tensor
-    of_z: Tensor
-    turn: Tensor
-
-
 def decoder_slopes(model: Cvae, x: Tensor, z: Tensor) -> Tensor:
     """Computes the derivatives (N, 207, 255) of the raw changes in xi and z, of states (N, 339), latents z (N, 48)."""
 
@@ -115,12 +103,16 @@ def _changed(x: Tensor, xi: Tensor) -> Tensor:
     return torch.cat((x[..., :ADDED] + xi[..., :ADDED], (m - m @ rotation.skew(omega)).flatten(-3)), -1)
 
 
-def transition_slopes(model: Cvae, x: Tensor, z: Tensor, slopes: Tensor | None = None) -> TransitionSlopes:
+def transition_slopes(model: Cvae, x: Tensor, z: Tensor, slopes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Computes the derivatives of N transitions in state and z from states (N, 339), own frames, and latents z (N, 48).
 
     slopes: of the decoder (``decoder_slopes``), or what shall stand for them; changed in place.
+
+    Returns:
+        of frame t + 1, columns are causes: in a small change of frame t (N, 210, 210) and in z (N, 210, 48). And the
+        turn (N, 3, 3) from the axes of frame t to those of frame t + 1, as row vectors from the right.
     """
-    raw, slopes = model.decode(x, z), decoder_slopes(model, x, z) if slopes is None else slopes
+    raw = model.decode(x, z)
     after, _ = state.apply(x, raw)
     v, bent = raw[:, ADDED:CHANGES].unflatten(1, (22, 3)), slopes[:, ADDED:].unflatten(1, (22, 3))
     bent.copy_(rotation.left_jacobian(v) @ bent)
@@ -140,7 +132,7 @@ def transition_slopes(model: Cvae, x: Tensor, z: Tensor, slopes: Tensor | None =
 
     own[..., few] = columns(change, len(few), after)
     out = own[..., :XI] @ slopes
-    return TransitionSlopes(torch.cat((out[..., :XI], own[..., XI:]), -1), out[..., XI:], turn.mT)
+    return torch.cat((out[..., :XI], own[..., XI:]), -1), out[..., XI:], turn.mT
 
 
 def _blocks(x: Tensor) -> Tensor:
@@ -152,21 +144,12 @@ def state_change(states: Tensor, others: Tensor) -> Tensor:
     """Computes the change (..., 210) that takes others to states (..., 339), world; of first order in rotations."""
     ours, theirs = state.heading(states), state.heading(others)
     x, y = state.localise(states, ours), state.localise(others, theirs)
-    spin = x[..., ADDED:].unflatten(-1, (22, 3, 3)).mT @ y[..., ADDED:].unflatten(-1, (22, 3, 3))  # R_x R_y^T
-    spin = (spin - spin.mT) / 2
-    omega = torch.stack((spin[..., 2, 1], spin[..., 0, 2], spin[..., 1, 0]), -1)
+    # of R_x R_y^T
+    omega = rotation.unskew(x[..., ADDED:].unflatten(-1, (22, 3, 3)).mT @ y[..., ADDED:].unflatten(-1, (22, 3, 3)))
     cross = theirs.turn @ ours.turn.mT
     angle = torch.atan2(cross[..., 1, 0], cross[..., 0, 0])
     way = (theirs.turn @ (theirs.shift - ours.shift)[..., None])[..., :2, 0]
     return torch.cat((x[..., :ADDED] - y[..., :ADDED], omega.flatten(-2), angle[..., None], way), -1)
-
-
-class Rows(NamedTuple):
-    """of_frame (N, m, n): of single frames. before, after (N - B, k, n): of neighbours, either frame's part."""
-
-    of_frame: Tensor
-    before: Tensor
-    after: Tensor
 
 
 def _posed(x: Tensor, betas: Tensor, size: int) -> tuple[Tensor, Tensor]:
@@ -205,8 +188,9 @@ def _carried(points: Tensor, size: int) -> Tensor:
 def residual_rows(
     x: Tensor, turn: Tensor, shift: Tensor, steps: Tensor, betas: Tensor, camera: Tensor | None, touching: Tensor,
     evidence: Evidence, weights: dict[str, float],
-) -> Rows:  # fmt: skip
-    """Computes all rows of B clips of T frames.
+) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+    """Computes all rows of B clips of T frames: of single frames (B, T, m, n), and of neighbours either frame's part,
+    the former's and the latter's (B, T - 1, k, n).
 
     x (B, T, 339): states in their own frames, order of ``state``. turn (B, T, 3, 3), shift (B, T, 3): world to own,
     own = turn (world + shift). steps (B, T - 1, 3, 3): from one frame's axes to the next one's, row vectors from the
@@ -243,7 +227,7 @@ def residual_rows(
     before = held * where[:, :-1]
     after = held * (steps[:, :, None] @ where[:, 1:])  # back into the axes of the former frame
     before = torch.cat((-lengths[:, :-1], -before.flatten(2, 3)), 2)
-    return Rows(of_frame, before, torch.cat((lengths[:, 1:], after.flatten(2, 3)), 2))
+    return of_frame, before, torch.cat((lengths[:, 1:], after.flatten(2, 3)), 2)
 
 
 def _pixel_rows(points: Tensor, slopes: Tensor, turn, shift, camera, evidence: Evidence, weight, free: bool) -> Tensor:

@@ -75,20 +75,14 @@ def load_priors(
         raise DataError("pelvis: no official motion or initial prior that it moves", remedy="leave it out")
     if pelvis is not None and not all(abs(x) < 2 for x in pelvis):
         raise DataError(f"pelvis: expected metres, got {pelvis}", remedy="give its x, y and z")
-    if their_motion:
-        model = _at_pelvis(_official_motion(motion), pelvis)
-    else:
-        model = load_motion_prior(str(motion or f"humor_{name}"))
+    model = _official_motion(motion, pelvis) if their_motion else load_motion_prior(str(motion or f"humor_{name}"))
     if initial is None and not model.causal:
         raise DataError(
             "its velocities are central ones, which know the next frame; the first states that ship know the past only",
             path=motion,
             remedy="give the first states it was trained with, too (initial, --initial): prior_gmm.npz of its release",
         )
-    if their_initial:
-        mixture = _mixture_at_pelvis(_official_mixture(initial), pelvis)
-    else:
-        mixture = load_initial(str(initial or f"init_gmm_{name}"))
+    mixture = _official_mixture(initial, pelvis) if their_initial else load_initial(str(initial or f"init_gmm_{name}"))
     theirs = _suffix(pose) in _TORCH
     return Priors(model, _vposer(pose) if theirs else load_pose_prior(str(pose or f"pose_prior_{name}")), mixture)
 
@@ -144,19 +138,19 @@ def load_motion_prior(name: str = f"humor_{DEFAULT}") -> Cvae:
     return from_weights(checkpoint.load(path)[0], path, checkpoint.REMEDY)
 
 
-def _official_motion(path: Path | str) -> Cvae:
+def _official_motion(path: Path | str, pelvis: Pelvis) -> Cvae:
     """A checkpoint of the official code: a dict with 'model', a state dict, perhaps with 'module.' before its names."""
     remedy = "take a checkpoint of the official HuMoR release (50 tensors, 'decoder.net.0.weight' and so on)"
-    return from_weights(checkpoint.load_foreign(path, "model", remedy), Path(path), remedy)
+    return _at_pelvis(from_weights(checkpoint.load_foreign(path, "model", remedy), Path(path), remedy), pelvis)
 
 
-def _official_mixture(path: Path | str) -> InitGmm:
+def _official_mixture(path: Path | str, pelvis: Pelvis) -> InitGmm:
     """The official ``prior_gmm.npz``: weights (K,), means (K, 138), covariances (K, 138, 138)."""
     shapes = {"weights": "K", "means": "K D", "covariances": "K D D"}
     with reading(path, "take prior_gmm.npz of the official HuMoR release") as at:
         raw = read_npz(at, tuple(shapes))
         found = {name: torch.from_numpy(checked_array(at, x, shapes[name], name)) for name, x in raw.items()}
-    return _mixture_of(found, path)
+    return _mixture_at_pelvis(_mixture_of(found, path), pelvis)
 
 
 def _mixture_of(tensors: Mapping[str, Tensor], path: Path | str) -> InitGmm:

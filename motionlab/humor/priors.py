@@ -91,10 +91,9 @@ class Mlp(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Computes outputs (N, outputs) from inputs (N, inputs)."""
-        skip, first = x[..., x.shape[-1] - self.again :], self.net[0]
-        x = first(x)
-        for layer in self.net[1:]:
-            if self.again and isinstance(layer, nn.Linear):
+        skip = x[..., x.shape[-1] - self.again :]
+        for k, layer in enumerate(self.net):
+            if k and self.again and isinstance(layer, nn.Linear):
                 x = torch.cat((x, skip), dim=-1)
             x = layer(x)
         return x

@@ -83,10 +83,8 @@ def rolled_terms(problem: Problem, rolled: Rolled, *, grown: bool = True, contac
         "bone_length": energies.bone_length(own),
     }
     if contacts:
-        terms |= {
-            "contact_vel": energies.contact_vel(body.joints, touching),
-            "contact_height": energies.contact_height(body.joints, touching),
-        }
+        terms["contact_vel"] = energies.contact_vel(body.joints, touching)
+        terms["contact_height"] = energies.contact_height(body.joints, touching)
     if evidence.view is not None and evidence.view.free:
         still = torch.zeros_like(body.camera)
         terms["floor_reg"] = energies.floor_reg(evidence.view.floor(body.camera), evidence.view.floor(still), frames)

@@ -103,8 +103,7 @@ def start_2d(evidence: Evidence, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     enough = (evidence.weight > 0).sum(-1) >= 4
     cost = torch.where(enough[..., None], cost + upright_cost, 0.0)
     path = _viterbi(cost, rotation.geodesic(poses[:, None], poses[None]).square())
-    at = path[..., None, None].expand(*path.shape, 1, 3)
-    return trans.gather(2, at)[:, :, 0], poses[path], enough
+    return trans.take_along_dim(path[..., None, None], 2)[:, :, 0], poses[path], enough
 
 
 def interpolate_unseen(trans: Tensor, turn: Tensor, known: Tensor, fps: float) -> tuple[Tensor, Tensor]:

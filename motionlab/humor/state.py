@@ -83,12 +83,6 @@ def pack(parts: Mapping[str, Tensor]) -> Tensor:
     return torch.cat([upright[name].flatten(-len(shape)) for name, shape in SHAPES.items()], dim=-1)
 
 
-def unpack_delta(raw: Tensor) -> dict[str, Tensor]:
-    """Returns the parts of raw decoder outputs (..., 216) by name; views."""
-    check_shape(raw, f"... {DELTA}", "raw")
-    return {name: raw[..., DELTA_SLICES[name]].unflatten(-1, shape) for name, shape in DELTA_SHAPES.items()}
-
-
 def from_motion(motion: Motion, *, causal: bool = False) -> Tensor:
     """Computes world states (..., T, 339) from a motion on the 22 joints.
 
@@ -116,9 +110,7 @@ def _turning(orientation: Tensor, fps: float) -> Tensor:
 
 def angular_velocity(orientation: Tensor, fps: float) -> Tensor:
     """Computes the vector of dR/dt R^T, rad/s (..., T, 3), world axes, from orientations (..., T, 3, 3)."""
-    spin = velocity(orientation, fps, dim=-3) @ orientation.mT
-    skew = (spin - spin.mT) / 2
-    return torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1)
+    return rotation.unskew(velocity(orientation, fps, dim=-3) @ orientation.mT)
 
 
 def to_motion(state: Tensor, skeleton: Skeleton, fps: float = 30.0) -> Motion:

@@ -212,14 +212,13 @@ def start_stage_1(problem: Problem) -> Unknowns:
         decoded = priors.pose.decode(latent[0, 0])
         body = torch.cat((torch.eye(3).to(decoded)[None], decoded))
         joints, turns = fk(STANDARD, body.new_zeros(3), body)
-        if seen.view is None:
-            guess = starts.start_3d(seen, joints)
-        else:
-            marks = landmarks(joints[None, None], turns[None, None], shape[:1])[0, 0]
-            guess = starts.start_2d(seen, marks)
-        trans, turn = starts.interpolate_unseen(*guess, seen.fps)
+        if seen.view is not None:
+            joints = landmarks(joints[None, None], turns[None, None], shape[:1])[0, 0]
         if seen.view is not None and problem.mode != "lean":
-            trans, turn = starts.start_facing(seen, marks)
+            trans, turn = starts.start_facing(seen, joints)
+        else:
+            found = (starts.start_3d if seen.view is None else starts.start_2d)(seen, joints)
+            trans, turn = starts.interpolate_unseen(*found, seen.fps)
     orient = unknowns.from_matrix(turn, problem.mode)
     camera = None if seen.view is None else seen.values.new_zeros(groups, 3)
     return Unknowns(trans, orient, latent, betas=shape, camera=camera)
@@ -273,9 +272,8 @@ class _Track:
         contacts = energies.contact_probabilities(rolled.rollout.contact_logits)
         self.stages[3] = unknowns.motion_of(rolled.body, seen.fps, contacts=(contacts > 0.5).to(contacts))
         says = diagnosed(rolled, seen)
-        fitted = self._fitted(problem, end, contacts, end.z, rolled.states[:, 0], *says.sentences())
-        kept = {"problem": problem, "unknown": end.detached()} if solver == "shooting" else {}
-        return replace(fitted, diagnostics=says, **kept)
+        kept = (problem, end.detached()) if solver == "shooting" else (None, None)
+        return self._fitted(problem, end, contacts, end.z, rolled.states[:, 0], says.sentences(), says, *kept)
 
     def _begun(self, problem: Problem, unknown: Unknowns, motion: Motion, latent: Tensor, confidence: Tensor) -> tuple:
         """What stage 3 begins with; the floor is guessed below the feet of ``motion`` where its height is not known."""
@@ -300,14 +298,14 @@ class _Track:
         contacts = motion.root.new_zeros(*motion.root.shape[:2], 9)
         first = state.from_motion(motion, causal=problem.priors.motion.causal)[:, 0]
         z = contacts.new_zeros(len(contacts), 0, problem.priors.motion.latent)
-        return self._fitted(problem, unknown, contacts, z, first, f"stage 3 left out: {why}")
+        return self._fitted(problem, unknown, contacts, z, first, (f"stage 3 left out: {why}",))
 
-    def _fitted(self, problem: Problem, unknown: Unknowns, contacts, z, first, *notes: str) -> Fitted:
+    def _fitted(self, problem: Problem, unknown: Unknowns, contacts, z, first, notes: tuple[str, ...], *more) -> Fitted:
         view = problem.evidence.view
         cameras = None if view is None else view.cameras(unknown.camera)
         return Fitted(
             self.stages[max(self.stages)], self.stages, contacts, z, first, unknown.betas, cameras,
-            self.energies, self.results, (*problem.evidence.notes, *notes),
+            self.energies, self.results, (*problem.evidence.notes, *notes), *more,
         )  # fmt: skip
 
 

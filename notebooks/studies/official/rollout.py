@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from motionlab.humor.priors import Cvae, Gaussian, Mlp
 from motionlab.humor.rollout import Rollout
-from motionlab.humor.state import SHAPES, STATE, TURNED, unpack, unpack_delta
+from motionlab.humor.state import DELTA_SHAPES, DELTA_SLICES, SHAPES, STATE, TURNED, unpack
 from studies.official.rotation import alignment, axis_angle_to_matrix
 
 State = dict[str, Tensor]  # parts (B, 1, D), each flat
@@ -102,7 +102,7 @@ def _run(net: Mlp, x: Tensor) -> Tensor:
 
 def _apply(parts: State, raw: Tensor) -> tuple[State, Tensor]:
     """The next state: sums, and rotations of the delta from the left; contact logits (B, 1, 9)."""
-    delta = unpack_delta(raw)
+    delta = {name: raw[..., DELTA_SLICES[name]].unflatten(-1, shape) for name, shape in DELTA_SHAPES.items()}
     after = {}
     for name, now in parts.items():
         if name in ("root_orient", "pose_body"):
