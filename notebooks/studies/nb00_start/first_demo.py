@@ -16,6 +16,7 @@ from motionlab.commands.doctor import ROOT
 from motionlab.humor import pretrained, testops
 from motionlab.motion import Motion
 from motionlab.viz import movie, scene
+from studies.shared.overlay import overlay
 
 ROLES = {"truth": "truth", "smooth poses only": "stage2", "with the motion prior": "stage3"}
 _WOOD = "#b9a88f"
@@ -56,7 +57,7 @@ def _seen(filmed: scenes.Scene, truth: Motion, frame: int, anny: BodyModel) -> n
             view.mesh(vertices[0].numpy(), faces.numpy(), _WOOD)
         image = view.image(frame / truth.fps)
     shown = replace(observation, keypoints=(points - corner)[None], confidence=confidence[None], camera=None)
-    return movie.overlay(shown, image, 0, "observation", width=3.0)
+    return overlay(shown, image, 0, width=3.0)
 
 
 def main(path: Path = ROOT / "docs/pictures/sitting.jpg") -> None:

@@ -19,10 +19,10 @@ from torch import Tensor
 
 from motionlab import metrics
 from motionlab.bench import by_person
-from motionlab.diffusion.encoder import motion_encoder
 from motionlab.metrics import interval
 from motionlab.motion import Motion
 from studies.shared import small_measures
+from studies.shared.feature_training import motion_encoder
 
 #: Ratios of means, by the field of ``Judged`` that is averaged.
 RATIOS = ("travel", "slide", "acceleration")

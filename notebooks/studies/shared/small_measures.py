@@ -8,12 +8,12 @@ from torch import Tensor
 from motionlab import metrics
 from motionlab.bench import PersonWindows, by_person
 from motionlab.contact import resting_heights
-from motionlab.diffusion.encoder import motion_encoder
 from motionlab.diffusion.model import LEVELS, MotionDiffusion, motion_model
 from motionlab.diffusion.sampling import noise_like
 from motionlab.heading import local_to_world, stuck_root
 from motionlab.motion import FPS, Motion
 from motionlab.skeleton import BALLS, FEET, STANDARD
+from studies.shared.feature_training import motion_encoder
 
 STEPS = 50  # of the sampler, at most
 PLAIN = "diffusion_plain"
