@@ -1,12 +1,10 @@
 """How far sources of motion are from each other: windows described by twelve numbers, compared person by person."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -43,12 +41,12 @@ class Windows(NamedTuple):
     whose: Tensor
     kinds: tuple[str, ...]
 
-    def pick(self, mask: Tensor) -> Windows:
+    def pick(self, mask: Tensor) -> Self:
         """Returns the windows under a mask (N,), or at indices."""
         at = mask.nonzero()[:, 0] if mask.dtype == torch.bool else mask
         return Windows(self.table[at], self.whose[at], tuple(self.kinds[i] for i in at.tolist()))
 
-    def of(self, *kinds: str) -> Windows:
+    def of(self, *kinds: str) -> Self:
         """Returns the windows of these kinds."""
         return self.pick(torch.tensor([kind in kinds for kind in self.kinds], dtype=torch.bool))
 

@@ -1,11 +1,10 @@
 """The people of notebook 04: clips of two seconds of people nobody trained on, sits, and clips to go on from."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -45,7 +44,7 @@ class Clips:
         taught = sum(who.startswith("cmu") and splits.part_of(who) == "train" for who in self.names)
         return f"{len(self.names)} people, {taught} of whom taught the prior, {len(self.whose)} clips"
 
-    def of(self, indices: Sequence[int]) -> Clips:
+    def of(self, indices: Sequence[int]) -> Self:
         """Returns some of the clips."""
         kept, whose = self.whose[list(indices)].unique(return_inverse=True)
         return Clips(self.motion.clip(list(indices)), whose, tuple(self.names[i] for i in kept))

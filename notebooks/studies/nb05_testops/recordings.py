@@ -1,13 +1,11 @@
 """Real keypoints: Pose2Sim's person from each single view, a synthetic stand-in, and a folder of one's own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -67,7 +65,7 @@ class Views(NamedTuple):
         """Returns one view's keypoints (T, 25, 2), or their first frames."""
         return part(self.observation, index, slice(frames))
 
-    def first(self, frames: int) -> Views:
+    def first(self, frames: int) -> Self:
         """Returns the first frames of every view."""
         reference = None if self.reference is None else self.reference[:frames]
         return self._replace(observation=part(self.observation, slice(None), slice(frames)), reference=reference)

@@ -8,11 +8,10 @@ Source: Naeem et al. 2020 (coverage), Kynkaanniemi et al. 2019 (recall), Heusel 
 1981 (pseudo-values); Lopez-Paz and Oquab 2017 (the classifier of two samples).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -39,13 +38,13 @@ class Judged:
     acceleration: Tensor
 
     @classmethod
-    def of(cls, motion: Motion) -> Judged:
+    def of(cls, motion: Motion) -> Self:
         """Measures windows (N, T) on the standard body, feet on a floor at z = 0."""
         shaken = motion.fps**2 * motion.positions.diff(n=2, dim=-3).norm(dim=-1).mean((-1, -2))
         slide, latent = small_measures.slide_mm(motion), motion_encoder("features_real")(motion)
         return cls(latent, small_measures.travel(motion), slide, shaken)
 
-    def clip(self, rows: Tensor) -> Judged:
+    def clip(self, rows: Tensor) -> Self:
         """Those rows, a mask or indices, as ``Motion.clip`` takes them."""
         return Judged(self.latent[rows], self.travel[rows], self.slide[rows], self.acceleration[rows])
 

@@ -4,13 +4,11 @@ What a closure costs does not depend on the networks' values, so that they are r
 detected, so that the detections are the person's own with a few pixels of noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import nullcontext
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -71,7 +69,7 @@ class Workload:
         """T."""
         return self.problem.evidence.values.shape[1]
 
-    def to(self, dtype: torch.dtype) -> Workload:
+    def to(self, dtype: torch.dtype) -> Self:
         """The same in another precision, with priors of its own; their mixture keeps its precision."""
         priors, seen = self.problem.priors, self.problem.evidence
         own = [deepcopy(model).to(dtype) for model in (priors.motion, priors.pose)]
