@@ -114,14 +114,13 @@ def _apply(parts: State, raw: Tensor) -> tuple[State, Tensor]:
 
 
 def rollout(
-    model: Cvae, first: Tensor, z: Tensor | None, *, steps: int | None = None, with_prior: bool = True,
-    canonical: bool = False, align: Callable[[Tensor], Tensor] = alignment, prior_inside: bool = True
+    model: Cvae, first: Tensor, z: Tensor | None, *, steps: int | None = None, canonical: bool = False,
+    align: Callable[[Tensor], Tensor] = alignment, prior_inside: bool = True,
 ) -> Rollout:  # fmt: skip
     """T transitions, one after the other; arguments and result as ``rollout.rollout``.
 
     Args:
         first: (B, 339) states, world coordinates. z: (B, T, 48), or None for the prior's mean in each of ``steps``.
-        with_prior: return the prior; it is evaluated in any case.
         canonical: ``first`` is in its own heading frame already and is used as it is.
         align, prior_inside: not as the official code does it, for ``shared.savings``: another rotation (B, 3, 3) into
             the heading frame; the prior for all steps at once, after them (z must be given).
@@ -154,9 +153,7 @@ def rollout(
     found = torch.cat(states, dim=1)
     if not canonical:
         found = _join(_move_back(_parts(found), *world))
-    if not with_prior:
-        prior = None
-    elif prior_inside:
+    if prior_inside:
         prior = Gaussian(torch.stack(means, dim=1), torch.stack(log_vars, dim=1))
     else:
         prior = model.prior(torch.stack(pasts, dim=1))

@@ -24,7 +24,6 @@ from motionlab import corpus, splits
 from motionlab.bench import FRAMES, PersonWindows, person_windows
 from motionlab.diffusion.model import LOSS_WEIGHTS, DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows
-from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.motion import Motion
 from motionlab.training.courses import learnt_from
@@ -86,15 +85,8 @@ SETS: dict[str, list[Arm]] = {
 
 def record(name: str) -> dict:
     """Reads what is kept of a set: "rows", each with "arm", "seed" and what ``small_measures.measured`` found, and
-    "beside", of recorded motion.
-
-    Raises:
-        DataError: nothing is kept of it.
-    """
-    path, remedy = RECORDS / f"small_{name}.json", f"python -m studies.shared.small_models {name}, or make small"
-    if not path.exists():
-        raise DataError("nothing is kept of this set", path=path, remedy=remedy)
-    return json.loads(path.read_text(encoding="utf-8"))
+    "beside", of recorded motion."""
+    return json.loads((RECORDS / f"small_{name}.json").read_text(encoding="utf-8"))
 
 
 def paired(name: str, arms: Collection[str]) -> list[dict]:
@@ -134,13 +126,6 @@ def folder() -> Path:
     found = corpus.cache_folder().with_name("training") / "small"
     found.mkdir(parents=True, exist_ok=True)
     return found
-
-
-def _data(recordings: Path) -> _Data:
-    """Windows of a folder of recordings; minutes."""
-    windows, takes = learnt_from(recordings, FRAMES)
-    test = corpus.assemble(recordings, splits.real_sources(recordings)).part("test")
-    return _Data(windows, person_windows(takes, FRAMES, _PRACTICE).motion, person_windows(test, FRAMES, _EACH))
 
 
 def _of_people(windows: Windows, count: int, seed: int) -> Windows:
@@ -218,7 +203,9 @@ def command(arguments: Sequence[str] | None = None) -> None:
     torch.set_num_threads(1)
     with contextlib.suppress(OSError, AttributeError):
         os.nice(19)
-    data = _data(Path(options.data))
+    windows, takes = learnt_from(options.data, FRAMES)
+    test = corpus.assemble(options.data, splits.real_sources(options.data)).part("test")
+    data = _Data(windows, person_windows(takes, FRAMES, _PRACTICE).motion, person_windows(test, FRAMES, _EACH))
     for name in options.sets:
         run(name, data, options.seeds)
 
