@@ -21,7 +21,6 @@ from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, sampling
 from motionlab.diffusion.features import UNITS, Layout, Normaliser
 from motionlab.diffusion.model import MotionDiffusion
-from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.heading import local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
 from studies.shared.fill_bench import ERROR, SCORE, Result
@@ -52,12 +51,6 @@ def noise_size(layout: Layout, normaliser: Normaliser, turn: float, shift: float
     return size / normaliser.scale
 
 
-def _begin(schedule: NoiseSchedule, size: float) -> int:
-    """The step t* that is about as noisy, for its signal, as a signal of unit size with noise of this size."""
-    ratio = ((1 - schedule.alpha_bar) / schedule.alpha_bar).log()
-    return int((ratio - 2 * torch.tensor(size, dtype=ratio.dtype).log()).abs().argmin())
-
-
 @torch.no_grad()
 def denoise(
     model: MotionDiffusion, noisy: Motion, rough: Motion, noise: Noise, generator: torch.Generator,
@@ -74,7 +67,8 @@ def denoise(
     local = world_to_local(frame, rough if start.filtered else noisy)
     local = replace(local, contacts=with_contacts(rough).contacts)
     y = model.normaliser.apply(replace(model.layout, frame="world").encode(local))
-    t = _begin(model.schedule, whole)
+    ratio = ((1 - model.schedule.alpha_bar) / model.schedule.alpha_bar).log()
+    t = int((ratio - 2 * torch.tensor(whole, dtype=ratio.dtype).log()).abs().argmin())
     signal, stamps = model.schedule.alpha_bar[t].sqrt().to(y), model.schedule.stamps[t].expand(len(y))
     more = (whole**2 - size**2).clamp(min=0).sqrt() if start.topped else torch.zeros_like(size)
     total = torch.zeros_like(y)

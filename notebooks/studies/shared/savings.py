@@ -96,6 +96,15 @@ def weights_of(priors: Priors, on: Savings) -> Iterator[None]:
             weight.requires_grad_(needed).grad = None
 
 
+@contextmanager
+def gradients(problem: Problem, unknown: Unknowns, on: Savings) -> Iterator[None]:
+    """Clears the gradients of the unknowns; while it lasts, the networks' weights need some too unless frozen."""
+    for value in unknown.named().values():
+        value.grad = None
+    with weights_of(problem.priors, on):
+        yield
+
+
 def exact_alignment(orientation: Tensor) -> Tensor:
     """The yaw rotation (B, 3, 3) of ``heading.heading_frame``."""
     return heading_frame(orientation[..., 0], orientation).turn
@@ -233,9 +242,7 @@ def closure(problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = nu
     Gradients of the weights, where there are any, are made and dropped; official fits, which never clear them, pay for
     their sum, too.
     """
-    for value in unknown.named().values():
-        value.grad = None
-    with weights_of(problem.priors, on):
+    with gradients(problem, unknown, on):
         value = sum(terms(problem, unknown, on, mark=mark, **how).values())
         with mark("backward"):
             value.sum().backward()

@@ -101,7 +101,10 @@ def _of(rows: Sequence[dict], arm: str) -> list[dict]:
 
 
 def by_seed(rows: Sequence[dict], arm: str, measure: str) -> torch.Tensor:
-    """What the samples of an arm measured, a number for each seed (S,), in the order of seeds."""
+    """What an arm measured, a number for each seed (S,), in the order of seeds: of its estimates of x_0, the mean over
+    noise and people; or of its samples."""
+    if rows and measure in rows[0]["estimates"]:
+        return estimates_by_seed(rows, arm, measure).flatten(1).mean(1)
     return torch.tensor([row["samples"][measure] for row in _of(rows, arm)], dtype=torch.float64)
 
 

@@ -103,9 +103,7 @@ class Workload:
         problem = replace(self.problem, **({} if on == LEAN else savings.OFFICIAL))
 
         def pose(mark: Mark = nullcontext) -> Tensor:
-            for x in unknown.named().values():
-                x.grad = None
-            with savings.weights_of(self.problem.priors, on):
+            with savings.gradients(problem, unknown, on):
                 with mark("body"):
                     value = sum(stages.pose_terms(problem, unknown, part.stage).values())
                 with mark("backward"):
