@@ -36,8 +36,7 @@ def picture(filmed: scenes.Scene, motions: Mapping[str, Motion], frame: int) -> 
     """Draws one frame (H, W, 3): what the camera saw and the detector found, then each motion from one side."""
     anny = BodyModel.from_anny()
     around = {name: motion.cut(frame - 1, frame + 1) for name, motion in motions.items()}  # the eye comes near
-    stage, _ = movie.stage(around, ROLES, anny, size=(_PANEL[0] * len(around), _PANEL[1]), follow=True)
-    with stage:
+    with movie.stage(around, ROLES, anny, (_PANEL[0] * len(around), _PANEL[1]), follow=True)[0] as stage:
         bodies = stage.image(1 / motions["truth"].fps)
     return np.concatenate((_seen(filmed, motions["truth"], frame, anny), bodies), 1)
 

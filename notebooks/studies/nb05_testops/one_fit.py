@@ -127,6 +127,5 @@ def picture(fit: Fitted, scene: Scene, body: BodyModel, seconds: float, *, thing
         off = errors(fit.stages[k], scene)
         title = f"stage {k}: {off['hidden joints, cm']:.0f} cm, pose {off['hidden joints in pose, cm']:.0f}"
         titled[title], roles[title] = shown[f"stage {k}"], ROLES[f"stage {k}"]
-    built, _ = stage(titled, roles, body, size=(1080, 400), things=things, ghost=shown["truth"])
-    with built:
+    with stage(titled, roles, body, (1080, 400), things=things, ghost=shown["truth"])[0] as built:
         return built.image(seconds)

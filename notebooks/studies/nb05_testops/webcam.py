@@ -24,9 +24,8 @@ Ways = Mapping[str, tuple[Motion, Sequence[Camera]]]  # what was fitted -> motio
 
 def clips(folder: Path | str, starts: Sequence[int], frames: int) -> Observation2D:
     """Reads clips (G, T) of a webcam recording of 3Dance, 30 fps presumed."""
-    return part(
-        keypoints.load_person(folder, fps=FPS, layout="BODY_25"), torch.tensor(starts)[:, None] + torch.arange(frames)
-    )
+    seen = keypoints.load_person(folder, fps=FPS, layout="BODY_25")
+    return part(seen, torch.tensor(starts)[:, None] + torch.arange(frames))
 
 
 def fitted(seen: Observation2D, priors: Priors, schedule: Schedule) -> Ways:

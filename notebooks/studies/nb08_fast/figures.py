@@ -43,9 +43,8 @@ def toy(spectra: Mapping[str, np.ndarray], paths: Mapping[str, np.ndarray], seen
 
 def nudge(found: Nudged, frame: int, body: BodyModel) -> Figure:
     """Draws both bodies at one frame over the grey one that was not nudged, and how far they are from it over time."""
-    built, _ = stage(found.after, ROLES, body, size=(820, 460), ghost=found.before, follow=True)
-    with built:
-        picture = built.image(frame / found.before.fps)
+    with stage(found.after, ROLES, body, size=(820, 460), ghost=found.before, follow=True)[0] as scene:
+        picture = scene.image(frame / found.before.fps)
     fig, (left, right) = canvas(1, 2, size=(11.0, 3.2))
     left.imshow(picture)
     left.set_axis_off()
@@ -108,6 +107,5 @@ def profiles(
 
 def picture(shown: Mapping[str, Motion], body: BodyModel, seconds: float, things: Sequence[Mesh]) -> np.ndarray:
     """Draws bodies side by side at one time, the truth in grey behind all others."""
-    built, _ = stage(shown, ROLES, body, size=(1080, 400), things=things, ghost=next(iter(shown.values())))
-    with built:
-        return built.image(seconds)
+    with stage(shown, ROLES, body, (1080, 400), things=things, ghost=next(iter(shown.values())))[0] as scene:
+        return scene.image(seconds)

@@ -90,15 +90,14 @@ class MotionEncoder(nn.Module):
             nn.ConvTranspose1d(width, width, 4, 2, 1), nn.GELU(), nn.ConvTranspose1d(width, numbers, 4, 2, 1),
         )  # fmt: skip
         self.network = nn.ModuleDict({"encoder": encoder, "decoder": decoder})
-        for name, size in (("mean", numbers), ("centre", recipe.size)):
-            self.register_buffer(name, torch.zeros(size))
-        for name, size in (("scale", numbers), ("spread", recipe.size)):
-            self.register_buffer(name, torch.ones(size))
+        for middle, deviation, size in (("mean", "scale", numbers), ("centre", "spread", recipe.size)):
+            self.register_buffer(middle, torch.zeros(size))
+            self.register_buffer(deviation, torch.ones(size))
 
     @torch.no_grad()
-    def forward(self, motion: Motion, batch: int = 512) -> Tensor:
-        """Computes latent numbers (N, size), float64, of windows (N, recipe.frames) at 30 fps, a batch at a time."""
-        parts = (motion.clip(slice(at, at + batch)) for at in range(0, len(motion.root), batch))
+    def forward(self, motion: Motion) -> Tensor:
+        """Computes latent numbers (N, size), float64, of windows (N, recipe.frames) at 30 fps, 512 at a time."""
+        parts = (motion.clip(slice(at, at + 512)) for at in range(0, len(motion.root), 512))
         latent = torch.cat([self.network["encoder"](((signals(x) - self.mean) / self.scale).mT) for x in parts])
         return ((latent - self.centre) / self.spread).double()
 
@@ -111,10 +110,7 @@ def motion_encoder(name: str = "features_real") -> MotionEncoder:
 
 
 def make_encoder(folder: Path | str | None, out: Path, recipe: EncoderRecipe) -> None:
-    """Trains and writes the features that generated motion is judged in.
-
-    folder: of recordings. Trained on the training people, watched on validation people.
-    """
+    """Trains the features on the training people of recordings, watched on validation people, and writes them."""
     found, made = recipes.sources(folder)
     train, val = ([take.motion for take in found.part(part)] for part in ("train", "val"))
     windows, held = (gather([*map(on_standard, some)], recipe.frames) for some in (train + made, val))

@@ -9,15 +9,14 @@ from motionlab.viz.palette import ROLE, side_of, sides
 _ARMS_LEGS = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (
     ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"),
     ("ankle", "big_toe"), ("big_toe", "small_toe"), ("eye", "ear"))]  # fmt: skip
-_MIDDLE = [("neck", "mid_hip"), ("nose", "neck"), ("nose", "left_eye"), ("nose", "right_eye")]
-_WITH_NECK = [("neck", "left_shoulder"), ("neck", "right_shoulder"), ("mid_hip", "left_hip"), ("mid_hip", "right_hip")]
-_WITHOUT = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"), ("left_shoulder", "left_hip"),
-            ("right_shoulder", "right_hip")]  # fmt: skip
+_MIDDLE = [("neck", "mid_hip"), ("nose", "neck"), ("nose", "left_eye"), ("nose", "right_eye"),
+           ("neck", "left_shoulder"), ("neck", "right_shoulder"), ("mid_hip", "left_hip"),
+           ("mid_hip", "right_hip")]  # fmt: skip
 _FINE = 2  # drawn twice as large and reduced: smooth edges
 
 
 def overlay(observation: Observation2D, picture: np.ndarray, frame: int, width: float) -> np.ndarray:
-    """Draws one frame of keypoints (T, K, 2) over a picture (H, W, 3) uint8: confidence is opacity, left light.
+    """Draws one frame of BODY_25 (T, 25, 2) over a picture (H, W, 3) uint8: confidence is opacity, left light.
 
     picture: of the observation's camera at any scale; without a camera its pixels are the observation's. width: of a
     limb, pixels of the picture.
@@ -34,8 +33,7 @@ def overlay(observation: Observation2D, picture: np.ndarray, frame: int, width: 
         side = next((side_of(n) for n in names if side_of(n) != "middle"), "middle")
         return (*tones[side], round(255 * strength))
 
-    torso = _WITH_NECK if {"neck", "mid_hip"} <= set(names) else _WITHOUT
-    for ends in [ends for ends in _ARMS_LEGS + _MIDDLE + torso if set(ends) <= set(names)]:
+    for ends in [ends for ends in _ARMS_LEGS + _MIDDLE if set(ends) <= set(names)]:
         a, b = map(names.index, ends)
         strength = min(confidence[a], confidence[b])
         if strength > 0:

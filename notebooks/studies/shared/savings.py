@@ -41,15 +41,11 @@ Mark = Callable[[str], AbstractContextManager]
 class Savings:
     """What a closure of stage 3 leaves out.
 
-    frozen: gradients of the networks' weights.
-    prior_after: the prior inside the chain; it is evaluated once for all steps.
-    joints_only: the mesh; forward kinematics is enough.
-    needed_frames: bodies that nobody looks at: one frame as a whole clip three times over, the sequence twice and
-        filled up to the whole clip.
-    matrices: rotation vectors between any two parts.
-    exact_heading: the heading by acos.
-    lean_layout: the state as a dict of parts, and autograd's record of every small operation: the derivative of the
-        chain is written out.
+    frozen: gradients of the networks' weights. prior_after: the prior inside the chain; it is evaluated once for all
+    steps. joints_only: the mesh; forward kinematics is enough. needed_frames: bodies that nobody looks at: one frame as
+    a whole clip three times over, the sequence twice and filled up to the whole clip. matrices: rotation vectors
+    between any two parts. exact_heading: the heading by acos. lean_layout: the state as a dict of parts, and autograd's
+    record of every small operation: the derivative of the chain is written out.
     """
 
     frozen: bool = False

@@ -85,9 +85,7 @@ class Workload:
             found["z"] = found["z"][:, : part.frames - 1]
         if not on.matrices if part.stage == 3 else on != LEAN:
             found["orient"] = unknowns.from_matrix(unknowns.to_matrix(found["orient"]), "official")
-        free = {1: ("trans", "orient"), 2: tuple(found)}.get(part.stage, tuple(found))
-        if part.stage == 3 and part.first_fixed:
-            free = tuple(name for name in found if name not in unknowns.FIRST)
+        free = {"trans", "orient"} if part.stage == 1 else found.keys() - (unknowns.FIRST if part.first_fixed else ())
         return Unknowns(**{name: x.detach().clone().requires_grad_(name in free) for name, x in found.items()})
 
     def closure(self, part: Part, on: Savings = LEAN, unknown: Unknowns | None = None) -> Callable[..., Tensor]:
