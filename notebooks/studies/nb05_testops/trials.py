@@ -91,11 +91,6 @@ def tried(
     return found
 
 
-def rival_of(found: Mapping[Choice, Mapping[str, Mapping[str, Tensor]]], scene: str, measure: str) -> Choice:
-    """Chooses the rival with the least mean of a measure on one practice scene."""
-    return min(found, key=lambda rival: found[rival][scene][measure].nanmean().item())
-
-
 def fit_rivals(
     seen: Mapping[str, Scene], rivals: Mapping[str, Choice], priors: Priors, schedule: Schedule, **how
 ) -> dict[str, Motion]:

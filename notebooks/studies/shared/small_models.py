@@ -8,7 +8,6 @@ run that is killed goes on. It works at the lowest priority, on one core.
 """
 
 import argparse
-import contextlib
 import hashlib
 import json
 import os
@@ -204,8 +203,7 @@ def command(arguments: Sequence[str] | None = None) -> None:
     if not options.data:
         parser.error("these models learn from recordings: name a folder of them with --data")
     torch.set_num_threads(1)
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(19)
+    os.nice(19)
     windows, takes = learnt_from(options.data, FRAMES)
     test = corpus.assemble(options.data, splits.real_sources(options.data)).part("test")
     data = _Data(windows, person_windows(takes, FRAMES, _PRACTICE).motion, person_windows(test, FRAMES, _EACH))
