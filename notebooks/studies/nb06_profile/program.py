@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from matplotlib.figure import Figure
@@ -98,8 +99,7 @@ class Bars:
 
 
 # ------------------------------------------------------------------------------------------------- the whole schedule
-@dataclass(frozen=True)
-class Phase:
+class Phase(NamedTuple):
     """A part of a fit: its name, the closure that it repeats, and how often."""
 
     name: str

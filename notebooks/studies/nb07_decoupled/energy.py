@@ -55,8 +55,8 @@ class Sequences(NamedTuple):
 
 
 def sequences(model: Cvae, states: Tensor, z: Tensor, steps: int = 1) -> Sequences:
-    """K transitions from every state at once, sorted into sequences of T frames. states (B, T, 339), world; z (B, T -
-    1, 48). The first frame of every sequence is that of ``states``."""
+    """K transitions from every state at once, sorted into sequences of T frames, the first as in ``states``.
+    states (B, T, 339), world; z (B, T - 1, 48)."""
     batch, frames = states.shape[:2]
     at = (torch.arange(frames - 1)[:, None] + torch.arange(steps)).clamp(max=frames - 2)
     found = rollout(model, states[:, :-1].flatten(0, 1), z[:, at].flatten(0, 1), with_prior=False)
