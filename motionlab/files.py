@@ -4,7 +4,6 @@ import ast
 import contextlib
 import hashlib
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,23 +25,6 @@ def write_whole(path: str | Path, content: str | bytes) -> None:
     finally:
         with contextlib.suppress(OSError):  # not there, or a name that cannot be
             part.unlink()
-
-
-def output_folder(out: str | Path) -> Path:
-    """Makes a folder for what a fit writes, if it is not there; returns its whole path.
-
-    Raises:
-        DataError: ``out`` is or looks like a file, or the folder cannot be made or written.
-    """
-    out = Path(out)
-    if out.suffix.lower() in (".npz", ".bvh", ".glb", ".json", ".mp4", ".gif") or out.is_file():
-        remedy = f"give a folder, such as --out {out.with_suffix('')}/: motion.npz, motion.bvh, scene.glb, ... go there"
-        raise DataError("fit writes a folder, not one file", path=out, remedy=remedy)
-    with writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out) as probe:
-            probe.write(b"whether there is room is better known before than after")
-    return out.absolute()  # FFmpeg takes what is before a colon for a protocol
 
 
 @contextlib.contextmanager

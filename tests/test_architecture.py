@@ -16,7 +16,7 @@ FLOORS = """
     checkpoint motion rigs
     body
     baselines cleaning contact heading humanml ik observation rest skinning
-    diffusion.encoder diffusion.features diffusion.sampling humor.body_shape humor.state io metrics retarget viz
+    diffusion.features diffusion.sampling humor.body_shape humor.state io metrics retarget viz
     splits
     corpus diffusion.completer diffusion.model diffusion.windows humor.priors
     diffusion.poses humor.energies

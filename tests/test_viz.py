@@ -22,8 +22,9 @@ from motionlab.observation import Observation2D, look_at, project
 from motionlab.skeleton import STANDARD, Skeleton
 from motionlab.viz import mannequin, palette
 from motionlab.viz.interactive import explore, slider
-from motionlab.viz.movie import film, overlay, stage, write_film
+from motionlab.viz.movie import film, stage, write_film
 from motionlab.viz.scene import Scene
+from studies.shared.overlay import overlay
 from tests import figures
 
 SMALL = (160, 120)
@@ -311,7 +312,7 @@ def test_an_overlay_meets_the_rendered_body_at_any_scale():
     names = ("nose",)
     observation = Observation2D(pixel[None], torch.ones(1, 1), names, 30.0, camera)
     blank = np.zeros((240, 320, 3), np.uint8)
-    rows, columns = np.nonzero(overlay(observation, blank, 0).sum(-1))
+    rows, columns = np.nonzero(overlay(observation, blank, 0, 4.0).sum(-1))
     assert np.abs(np.array([columns.mean() + 0.5, rows.mean() + 0.5]) - pixel[0].numpy() / 2).max() < 1.0
 
 

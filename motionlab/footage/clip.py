@@ -1,6 +1,7 @@
 """What a fit is given: keypoints, the footage that they are of, and the camera that took it, put together."""
 
 import math
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from motionlab.errors import DataError, MissingData
-from motionlab.files import output_folder
+from motionlab.files import writing
 from motionlab.footage import detect
 from motionlab.footage.scene_fit import MIN_KEYPOINTS, USED
 from motionlab.io import cameras, keypoints
@@ -84,6 +85,23 @@ class Clip:
 def _frames_at(times: np.ndarray, seconds: np.ndarray) -> np.ndarray:
     """The frame that is there at each moment."""
     return np.searchsorted(times, seconds + 1e-6, "right") - 1
+
+
+def output_folder(out: str | Path) -> Path:
+    """Makes a folder for what a fit writes, if it is not there; returns its whole path.
+
+    Raises:
+        DataError: ``out`` is or looks like a file, or the folder cannot be made or written.
+    """
+    out = Path(out)
+    if out.suffix.lower() in (".npz", ".bvh", ".glb", ".json", ".mp4") or out.is_file():
+        remedy = f"give a folder, such as --out {out.with_suffix('')}/: motion.npz, motion.bvh, scene.glb, ... go there"
+        raise DataError("fit writes a folder, not one file", path=out, remedy=remedy)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out) as probe:
+            probe.write(b"whether there is room is better known before than after")
+    return out.absolute()  # FFmpeg takes what is before a colon for a protocol
 
 
 def read_clip(

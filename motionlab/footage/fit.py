@@ -19,10 +19,10 @@ from torch import Tensor
 
 from motionlab.body import BodyModel
 from motionlab.errors import DataError
-from motionlab.files import output_folder, write_whole, writing
+from motionlab.files import write_whole, writing
 from motionlab.footage import overlay as film
 from motionlab.footage import scene_report
-from motionlab.footage.clip import Clip, read_clip
+from motionlab.footage.clip import Clip, output_folder, read_clip
 from motionlab.footage.scene_fit import SMALL, STATURE, SceneFit, SceneFitConfig, fit_people, seen_size
 from motionlab.humor import body_shape, pretrained
 from motionlab.humor.energies import UNUSED_BODY_25

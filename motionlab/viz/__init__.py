@@ -1,4 +1,4 @@
-"""Pictures: ``scene.Scene``, ``movie.film``, ``strip`` and ``overlay``, ``interactive.slider``.
+"""Pictures: ``scene.Scene``, ``movie.film`` and ``strip``, ``interactive.slider``.
 
 Colours come from ``palette.ROLE``; ``mannequin`` is what a scene is made of, ``viewpoint`` from where it is seen.
 """

@@ -12,7 +12,7 @@ from pathlib import Path
 import imageio.v2 as imageio
 import numpy as np
 import torch
-from PIL import Image, ImageDraw
+from PIL import Image
 from torch import Tensor
 from tqdm.auto import tqdm
 
@@ -20,21 +20,13 @@ from motionlab import viz
 from motionlab.body import BodyModel
 from motionlab.errors import ShapeError
 from motionlab.motion import Motion, single
-from motionlab.observation import Observation2D
 from motionlab.viz import mannequin, viewpoint
-from motionlab.viz.palette import ROLE, colour, side_of, sides
+from motionlab.viz.palette import ROLE
 from motionlab.viz.scene import Scene
 
 Mesh = tuple[Tensor, Tensor]  # vertices (1, V, 3), faces (F, 3)
 _WOOD, _GHOST = "#b9a88f", (0.35, 0.35, 0.35)
 _DRAFT = 5  # pictures of a film that is only drawn to see that it draws
-_ARMS_LEGS = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (
-    ("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("ankle", "heel"),
-    ("ankle", "big_toe"), ("big_toe", "small_toe"), ("eye", "ear"))]  # fmt: skip
-_MIDDLE = [("neck", "mid_hip"), ("nose", "neck"), ("nose", "left_eye"), ("nose", "right_eye")]
-_WITH_NECK = [("neck", "left_shoulder"), ("neck", "right_shoulder"), ("mid_hip", "left_hip"), ("mid_hip", "right_hip")]
-_WITHOUT = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"), ("left_shoulder", "left_hip"),
-            ("right_shoulder", "right_hip")]  # fmt: skip
 _FINE = 2  # drawn twice as large and reduced: smooth edges
 
 
@@ -206,44 +198,3 @@ def strip(
                     scene.label(place * right + 0.25 * towards, f"{frame / motion.fps:.2f} s")
             rows.append(scene.floor().image())
     return np.concatenate(rows)
-
-
-def overlay(observation: Observation2D, picture, frame: int, role="stage2", width: float = 4.0) -> np.ndarray:
-    """Draws one frame of keypoints over a picture (H, W, 3) uint8: confidence is opacity, left light, right dark.
-
-    picture: of the observation's camera at any scale; without a camera its pixels are the observation's. width: of a
-    limb, pixels of the picture.
-
-    Raises:
-        ShapeError: a batch of observations. IndexError: no such frame.
-    """
-    if observation.keypoints.ndim != 3:
-        raise ShapeError(f"observation: expected one (T, K, 2), got {tuple(observation.keypoints.shape)}")
-    if not -observation.frames <= frame < observation.frames:
-        raise IndexError(f"frame {frame}: the observation has {observation.frames}")
-    image = Image.fromarray(np.asarray(picture, np.uint8))
-    scale = _FINE * (image.width / observation.camera.width if observation.camera else 1.0)
-    at = observation.keypoints[frame].double().numpy(force=True) * scale
-    confidence = observation.confidence[frame].double().numpy(force=True).clip(0, 1)
-    tones = {side: tuple(round(255 * c) for c in tone) for side, tone in sides(colour(role)).items()}
-    layer = Image.new("RGBA", (image.width * _FINE, image.height * _FINE))
-    pen, wide = ImageDraw.Draw(layer), width * _FINE
-
-    def ink(strength: float, names: list[str]) -> tuple[int, ...]:
-        side = next((side_of(n) for n in names if side_of(n) != "middle"), "middle")
-        return (*tones[side], round(255 * strength))
-
-    names = observation.names  # of BODY_25, BODY_25B and COCO alike: what is joined has both ends
-    torso = _WITH_NECK if {"neck", "mid_hip"} <= set(names) else _WITHOUT
-    for one, other in [ends for ends in _ARMS_LEGS + _MIDDLE + torso if set(ends) <= set(names)]:
-        a, b = names.index(one), names.index(other)
-        strength = min(confidence[a], confidence[b])
-        if strength > 0:
-            ends = [tuple(at[a]), tuple(at[b])]
-            pen.line(ends, fill=(255, 255, 255, round(210 * strength)), width=round(1.7 * wide))
-            pen.line(ends, fill=ink(strength, [one, other]), width=round(wide))
-    for k in np.flatnonzero(confidence > 0):
-        for radius, fill in ((1.15, (255, 255, 255, round(230 * confidence[k]))),
-                             (0.8, ink(confidence[k], [names[k]]))):  # fmt: skip
-            pen.circle(tuple(at[k]), radius * wide, fill=fill)
-    return np.asarray(Image.alpha_composite(image.convert("RGBA"), layer.reduce(_FINE)).convert("RGB"))

@@ -16,6 +16,7 @@ from motionlab.commands.doctor import ROOT
 from motionlab.humor import pretrained, testops
 from motionlab.motion import Motion
 from motionlab.viz import movie, scene
+from studies.shared.overlay import overlay
 
 ROLES = {"truth": "truth", "smooth poses only": "stage2", "with the motion prior": "stage3"}
 _WOOD = "#b9a88f"
@@ -35,8 +36,7 @@ def picture(filmed: scenes.Scene, motions: Mapping[str, Motion], frame: int) -> 
     """Draws one frame (H, W, 3): what the camera saw and the detector found, then each motion from one side."""
     anny = BodyModel.from_anny()
     around = {name: motion.cut(frame - 1, frame + 1) for name, motion in motions.items()}  # the eye comes near
-    stage, _ = movie.stage(around, ROLES, anny, size=(_PANEL[0] * len(around), _PANEL[1]), follow=True)
-    with stage:
+    with movie.stage(around, ROLES, anny, (_PANEL[0] * len(around), _PANEL[1]), follow=True)[0] as stage:
         bodies = stage.image(1 / motions["truth"].fps)
     return np.concatenate((_seen(filmed, motions["truth"], frame, anny), bodies), 1)
 
@@ -56,7 +56,7 @@ def _seen(filmed: scenes.Scene, truth: Motion, frame: int, anny: BodyModel) -> n
             view.mesh(vertices[0].numpy(), faces.numpy(), _WOOD)
         image = view.image(frame / truth.fps)
     shown = replace(observation, keypoints=(points - corner)[None], confidence=confidence[None], camera=None)
-    return movie.overlay(shown, image, 0, "observation", width=3.0)
+    return overlay(shown, image, 0, width=3.0)
 
 
 def main(path: Path = ROOT / "docs/pictures/sitting.jpg") -> None:

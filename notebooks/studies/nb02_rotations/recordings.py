@@ -26,10 +26,7 @@ def roots(
     """Loads root rotations (T, 3, 3) at 30 fps by person; empty without a folder.
 
     A source whose people are not known counts as one person. Falls and floor work come as joint positions: their
-    pelvis's left is along the hips, and its up towards the neck.
-
-    Args:
-        each: at most so many recordings of a person, evenly over them. people: at most so many people.
+    pelvis's left is along the hips, and its up towards the neck. each: recordings of a person, evenly; people: at most.
     """
     if folder is None:
         return {}

@@ -121,18 +121,14 @@ class Gaps(NamedTuple):
     gap: int
 
 
-def lively_gaps(
-    people: People, generator: torch.Generator, *, gap: int, each: int, context: int = 10, least_deg: float = 20.0
-) -> Gaps:
-    """Finds gaps across which the true root turns by ``least_deg`` or more; at most ``each`` of a person.
-
-    ``context`` frames are seen on either side. Hidden middles do not overlap.
-    """
-    path, whose = cut_windows(at_random_heading(people, generator), 2 * context + gap, gap)
+def lively_gaps(people: People, generator: torch.Generator, *, gap: int, each: int) -> Gaps:
+    """Finds gaps across which the true root turns by 20 degrees or more; at most ``each`` of a person. Ten frames are
+    seen on either side. Hidden middles do not overlap."""
+    path, whose = cut_windows(at_random_heading(people, generator), 20 + gap, gap)
     middle = rep.across_gap(path, gap)
     turn = torch.rad2deg(rotation.geodesic(middle[:, 0], middle[:, -1]))
     order = torch.randperm(len(path), generator=generator)
-    order = order[turn[order] >= least_deg]
+    order = order[turn[order] >= 20.0]
     mine = [order[whose[order] == i][:each] for i in range(len(people))]
     kept = torch.cat(mine) if mine else order
     vectors = rotation.matrix_to_axis_angle(middle[kept])
@@ -198,12 +194,8 @@ def count_flips(people: People, generator: torch.Generator) -> Flips:
 # ---------------------------------------------------------------------------------------------------- consistency
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Outcome of the consistency fit on 2 s clips.
-
-    worst_deg: arm -> (N,) largest error of a clip in degrees. flipped (N,): where its two vectors, the
-    decoder's error included, disagree somewhere.
-    whose (N,): the person.
-    """
+    """Outcome of the consistency fit on 2 s clips of people ``whose`` (N,). worst_deg: arm -> (N,) largest error of a
+    clip in degrees. flipped (N,): where its two vectors, the decoder's error included, disagree somewhere."""
 
     worst_deg: dict[str, Tensor]
     flipped: Tensor
@@ -215,17 +207,12 @@ class Consistency:
 
 
 def compare_consistency(
-    people: People, fit: Callable[[Tensor, Tensor], Tensor], generator: torch.Generator, *, each: int,
-    noise_deg: float, seconds: float = 2.0,
-) -> Consistency:  # fmt: skip
-    """Runs one consistency fit on carried and decoded parameters of the same clips and noise, arm by arm.
-
-    Args:
-        fit: carried (N, T, P), decoded (N, T, P) to the fitted parameters.
-        each: clips of a person at most.
-        noise_deg: the decoder's error per axis and frame; an arm that starts at its optimum proves nothing.
-    """
-    length = round(seconds * FPS)
+    people: People, fit: Callable[[Tensor, Tensor], Tensor], generator: torch.Generator, *, each: int, noise_deg: float
+) -> Consistency:
+    """Runs one consistency fit, carried (N, T, P), decoded (N, T, P) to fitted parameters, on the same clips, at most
+    ``each`` of a person, and the same noise, arm by arm. noise_deg: the decoder's error per axis and frame; an arm that
+    starts at its optimum proves nothing."""
+    length = round(2 * FPS)
     path, whose = cut_windows(at_random_heading(people, generator), length, length)
     order = torch.randperm(len(path), generator=generator)
     kept = torch.cat([order[:0], *(order[whose[order] == i][:each] for i in range(len(people)))])

@@ -82,11 +82,8 @@ def gradient(case: Case, energy: Energy) -> tuple[float, float]:
 
 
 class PartialFit(NamedTuple):
-    """What a fit to the arm and the face did.
-
-    moved: the fitted motions (..., T). legs_mm: by budget in closures, how far a leg joint had moved at most in the
-    pelvis's frame at the best point up to there, mm (...).
-    """
+    """What a fit to the arm and the face did: fitted motions (..., T), and by budget in closures how far a leg joint
+    had moved at most in the pelvis's frame at the best point up to there, mm (...)."""
 
     moved: Motion
     legs_mm: dict[int, Tensor]
@@ -98,11 +95,8 @@ def fit(
     """Minimises ``energy(case, theta, root)`` with Adam or L-BFGS, which may evaluate it ``closures`` times.
 
     Adam moves every parameter by its own gradient alone, so that several people at once are fitted as if each were
-    alone, and each one's best point is kept; L-BFGS takes one person.
-
-    Args:
-        lr: step length; by default that of ``STEP``.
-        budgets: numbers of closures after which the legs are measured too; those beyond the end repeat it.
+    alone, and each one's best point is kept; L-BFGS takes one person. lr: step length, else that of ``STEP``. budgets:
+    numbers of closures after which the legs are measured too; those beyond the end repeat it.
     """
     rest, seen, calls = _legs_in_pelvis(case, case.theta), {}, 0
     lowest = torch.full(case.theta.shape[:-3], torch.inf)

@@ -15,16 +15,9 @@ from motionlab.viz.scene import Scene
 from studies.nb03_skinning.partial_fit import LEGS, leak_percent
 
 
-def moved_by_mm(body: BodyModel, pose: Motion, names: Sequence[str]) -> Tensor:
-    """Computes how far each vertex moves per radian of some joints, in one pose (1 frame): (V,), mm per radian."""
-    return 1000 * _levers(body, pose)[:, body.skeleton.indices(names)].norm(dim=-1)
-
-
 def leaked_mm(body: BodyModel, pose: Motion) -> Tensor:
-    """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian.
-
-    A joint may move what it, or a joint below it, holds with a weight of ``skinning.SMALL``.
-    """
+    """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian. A joint
+    may move what it, or a joint below it, holds with a weight of ``skinning.SMALL``."""
     below = body.skeleton.ancestors().to(body.weights)
     allowed = (body.weights >= skinning.SMALL).to(below) @ below > 0
     return 1000 * torch.where(allowed, 0, _levers(body, pose)).norm(dim=-1)
@@ -44,11 +37,8 @@ def _levers(body: BodyModel, pose: Motion) -> Tensor:
 
 
 def skin(body: BodyModel, pose: Motion, threshold: float, size: tuple[int, int] = (960, 480)) -> np.ndarray:
-    """Draws a body in one pose (1 frame), pruned at a threshold: what still leaks, and how far the skin moved.
-
-    Returns:
-        (H, W, 3) uint8, two panels, millimetres per radian and millimetres.
-    """
+    """Draws a body in one pose (1 frame), pruned at a threshold: what still leaks, millimetres per radian, and how far
+    the skin moved, millimetres; (H, W, 3) uint8."""
     pruned = skinning.prune(body, threshold)
     before, after = (lbs(b, pose.skeleton, pose.root, pose.rot)[0] for b in (body, pruned))
     leaks, moved = leaked_mm(pruned, pose), 1000 * torch.linalg.vector_norm(after - before, dim=-1)
@@ -62,12 +52,10 @@ def skin(body: BodyModel, pose: Motion, threshold: float, size: tuple[int, int] 
 
 
 def moved_by_legs(bodies: Mapping[str, BodyModel], pose: Motion) -> np.ndarray:
-    """Draws bodies in one pose (1 frame), painted by what the joints of the legs move, whole and from near the face.
-
-    Returns:
-        (2 H, W, 3) uint8, a panel per body, millimetres per radian.
-    """
-    fields = {name: moved_by_mm(body, pose, LEGS) for name, body in bodies.items()}
+    """Draws bodies in one pose (1 frame), painted by what the joints of the legs move, millimetres per radian, whole
+    and from near the face: (2 H, W, 3) uint8."""
+    levers = {name: _levers(body, pose)[:, body.skeleton.indices(LEGS)] for name, body in bodies.items()}
+    fields = {name: 1000 * x.norm(dim=-1) for name, x in levers.items()}
     look, rows = {"frame": 0, "title": "mm per rad", "limits": (0.0, 2.0), "cmap": "Oranges"}, []
     head, world = (x[0, pose.skeleton.index("head")] for x in fk(pose.skeleton, pose.root, pose.rot))
     face = head + world @ torch.tensor([0.0, 0.05, 0.0])
@@ -83,12 +71,9 @@ def moved_by_legs(bodies: Mapping[str, BodyModel], pose: Motion) -> np.ndarray:
 def sweep(
     body: BodyModel, clean: BodyModel, planted: Tensor, motion: Motion, thresholds: Sequence[float]
 ) -> list[dict[str, float]]:
-    """Computes for each pruning threshold what still leaks and how far vertices move: a dict each.
-
-    Keys: threshold, leak (% of the face's gradient that reaches the legs in the first frame), left (share of the
-    planted entries that survive), max_mm (vertex displacement over the motion), clean_mean_mm and clean_max_mm (what
-    the same threshold moves on the body without faults).
-    """
+    """Computes for each pruning threshold: leak (% of the face's gradient that reaches the legs in the first frame),
+    left (share of the planted entries that survive), max_mm (vertex displacement over the motion), clean_mean_mm and
+    clean_max_mm (what the same threshold moves on the body without faults)."""
     rows = []
     for threshold in thresholds:
         pruned = skinning.prune(body, threshold)

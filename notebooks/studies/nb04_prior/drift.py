@@ -14,26 +14,24 @@ import torch
 from torch import Tensor
 
 from motionlab.bench import by_person
-from motionlab.humor import evidence, state, testops
+from motionlab.humor import state, testops
 from motionlab.humor.energies import JOINTS, KEYPOINTS
 from motionlab.humor.priors import Cvae, Priors
 from motionlab.humor.rollout import infer, rollout, sample_rollout
 from motionlab.metrics import tilt_and_bend
 from motionlab.motion import Motion
 from motionlab.training import quality
+from studies.shared import joints
 from studies.shared.one_step import decode_ahead
-
-HIDDEN_BELOW = 0.9  # metres: the height of the table behind which legs are hidden
 
 
 def rough(priors: Priors, truth: Motion, steps: tuple[int, int], *, noise: Tensor | None = None) -> Motion:
     """Computes stage 2's motion of clips (N, T) from their joints: with noise (N, T, 22, 3), all seen; without, only
-    those above ``HIDDEN_BELOW``."""
-    joints = truth.positions
-    seen = joints[..., 2] >= HIDDEN_BELOW if noise is None else torch.ones(joints.shape[:-1], dtype=torch.bool)
-    points, weights = (joints, KEYPOINTS) if noise is None else (joints + noise, JOINTS)
-    schedule = testops.Schedule(steps=(*steps, 0))
-    return testops.fit(evidence.Observation3D(points, seen), priors, weights=weights, schedule=schedule).stages[2]
+    those above a table of 0.9 m."""
+    seen, weights = joints.low_hidden(truth), KEYPOINTS
+    if noise is not None:
+        seen, weights = replace(seen, points=seen.points + noise, visible=torch.ones_like(seen.visible)), JOINTS
+    return testops.fit(seen, priors, weights=weights, schedule=testops.Schedule(steps=(*steps, 0))).stages[2]
 
 
 @dataclass(frozen=True, eq=False)

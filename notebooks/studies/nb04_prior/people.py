@@ -1,11 +1,10 @@
 """The people of notebook 04: clips of two seconds of people nobody trained on, sits, and clips to go on from."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -45,7 +44,7 @@ class Clips:
         taught = sum(who.startswith("cmu") and splits.part_of(who) == "train" for who in self.names)
         return f"{len(self.names)} people, {taught} of whom taught the prior, {len(self.whose)} clips"
 
-    def of(self, indices: Sequence[int]) -> Clips:
+    def of(self, indices: Sequence[int]) -> Self:
         """Returns some of the clips."""
         kept, whose = self.whose[list(indices)].unique(return_inverse=True)
         return Clips(self.motion.clip(list(indices)), whose, tuple(self.names[i] for i in kept))
@@ -152,18 +151,16 @@ def judged_rows(
 
 @torch.no_grad()
 def _walkers(model: Cvae, states: Tensor, seed: int) -> dict[str, float]:
-    """Of windows in which a person walks, the share whose samples still do in the last half second, and who do so."""
+    """Of windows in which a person walks, the share whose samples still do in the last half second."""
 
     def over_floor(states: Tensor) -> Tensor:  # (W, T - 1) of the pelvis, m/s
         return state.unpack(states)["joints"][:, :, 0, :2].diff(dim=1).norm(dim=-1) * FPS
 
     speed = over_floor(states)
     walking = speed.mean(1) > _WALKING
-    names = "walkers who go on", "data's walkers who go on"
     if not walking.any():
-        return dict.fromkeys(names, float("nan"))
+        return {"walkers who go on": float("nan")}
     first, generator = states[walking, 0], torch.Generator().manual_seed(seed)
     made = sample_rollout(model, first, states.shape[1] - 1, generator=generator).states
-    least = 0.5 * speed[walking].mean(1)
-    still = (over_floor(made)[:, -15:].mean(1) > least, speed[walking, -15:].mean(1) > least)
-    return {name: float(each.float().mean()) for name, each in zip(names, still, strict=True)}
+    still = over_floor(made)[:, -15:].mean(1) > 0.5 * speed[walking].mean(1)
+    return {"walkers who go on": float(still.float().mean())}

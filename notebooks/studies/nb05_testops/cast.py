@@ -4,13 +4,11 @@ With who performs each: numbers are averaged person by person first.
 Where something happens in a clip (somebody sits down), the moment is drawn, not fixed.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -136,7 +134,7 @@ class People(NamedTuple):
         """Computes the mean (P,) of each person's clips from one number (B,) a clip."""
         return bench.by_person(values, self.whose)
 
-    def first(self, count: int) -> People:
+    def first(self, count: int) -> Self:
         """Returns so many recorded clips, evenly through them."""
         keep = torch.linspace(0, len(self.motions) - 1, min(count, len(self.motions))).round().long()
         some = tuple(self.motions[k] for k in keep.tolist())
@@ -174,7 +172,7 @@ class Filmed(NamedTuple):
         """Arguments of ``testops.fit`` where camera and floor are known."""
         return {"cameras": self.scene.cameras, "floor": "camera"}
 
-    def first(self, count: int, *, seed: int) -> Filmed:
+    def first(self, count: int, *, seed: int) -> Self:
         """Returns so many of the clips; synthetic ones are all kept."""
         return filmed(self.people.first(count), seed=seed) if self.people.motions else self
 

@@ -17,10 +17,11 @@ from motionlab.body import BodyModel
 from motionlab.metrics import interval
 from motionlab.motion import Motion
 from motionlab.observation import BODY_25, Observation2D
-from motionlab.viz.movie import meshes, overlay
+from motionlab.viz.movie import meshes
 from motionlab.viz.palette import INK, LINE, ROLE, colour
 from motionlab.viz.scene import Scene as Stage
 from studies.nb05_testops.hard_cases import CMU, SYNTHETIC
+from studies.shared.overlay import overlay
 from studies.shared.plots import canvas, intervals, paints
 
 _WOOD, _SKIN = "#b9a88f", to_rgb("#d9cbbd")
@@ -40,7 +41,7 @@ def seen_by(scene: Scene, label: str, frame: int, body: BodyModel | None = None,
             stage.mesh(vertices[0].numpy(), faces.numpy(), _WOOD)
         plain = stage.image()
     seen = Observation2D(seen.keypoints, seen.confidence, BODY_25, truth.fps, camera)
-    picture = Image.fromarray(overlay(seen, plain, frame, "observation", width=3.5))
+    picture = Image.fromarray(overlay(seen, plain, frame, width=3.5))
     ImageDraw.Draw(picture).text((10, 8), label, fill=INK, font=ImageFont.load_default(15))
     return np.asarray(picture)
 
@@ -75,10 +76,8 @@ TONES = {SYNTHETIC: "ours", CMU: "real"}
 
 
 def forest(rows: Mapping[str, Sequence[tuple[str, str, tuple]]], xlabels: Mapping[str, str]) -> Figure:
-    """Draws differences with intervals: a panel per measure, a line per case, one colour per source.
-
-    rows: measure -> (case, source, (mean, low, high, ...)).
-    """
+    """Draws differences with intervals: a panel per measure, a line per case, one colour per source. rows: measure ->
+    (case, source, (mean, low, high, ...))."""
     panels: dict[str, dict[str, dict[str, tuple]]] = {xlabels[measure]: {} for measure in rows}
     for by, some in zip(panels.values(), rows.values(), strict=True):
         for case, source, found in some:

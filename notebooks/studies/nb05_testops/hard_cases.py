@@ -21,7 +21,7 @@ from motionlab.motion import Motion
 from studies.nb05_testops import cast as clips_of
 from studies.nb05_testops import measures
 from studies.nb05_testops.cast import Cast, by_person
-from studies.nb05_testops.trials import rival_of, scores
+from studies.nb05_testops.trials import scores
 from studies.nb05_testops.tuning import Choice
 from studies.shared.clips import FRAMES, everyday, goes, takes
 from studies.shared.sitting import seated, sits
@@ -132,8 +132,12 @@ def of(some: Iterable[Case], *cases: str) -> list[Case]:
 # -------------------------------------------------------------------------------------------------- who is compared
 def rivals(found: Mapping[Choice, Mapping[Case, Mapping[str, Tensor]]], cases: Sequence[Case]) -> dict[Case, Choice]:
     """Chooses each case's stage 2 on the practice clips of its own task and source."""
-    tasks = {(case, source): TUNED_ON[case] for case, source in cases}
-    return {key: rival_of(found, (task, key[1]), measure) for key, (task, measure) in tasks.items()}
+
+    def error(rival: Choice, case: str, source: str) -> float:
+        task, measure = TUNED_ON[case]
+        return found[rival][task, source][measure].nanmean().item()
+
+    return {key: min(found, key=lambda rival, key=key: error(rival, *key)) for key in cases}
 
 
 def without(arm: str) -> Weights:
@@ -227,10 +231,8 @@ def smoothing(
     dance: Case, power: Mapping[Case, Mapping[str, Tensor]], stages: Mapping[int, Motion], truth: Motion,
     people: Sequence[str] | None,
 ) -> list[tuple[str, str, Tensor, Tensor]]:  # fmt: skip
-    """Returns what H08 asks of a dance: test, statistic, and numbers of stages 3 and 2 by person.
-
-    power: case -> way -> power over true power (B, bands); the second band holds the accents.
-    """
+    """Returns what H08 asks of a dance: test, statistic, and numbers of stages 3 and 2 by person. power: case -> way ->
+    power over true power (B, bands); the second band holds the accents."""
     band = [by_person(power[dance][f"stage {k}"][:, 1], people) for k in (3, 2)]
     more = [x - power[WALKS, dance[1]][f"stage {k}"][:, 1].mean() for k, x in zip((3, 2), band, strict=True)]
     calm = [by_person(measures.acceleration_ratio(stages[k], truth), people) for k in (3, 2)]

@@ -73,6 +73,5 @@ def band_power(fit: Motion, truth: Motion, bands: Sequence[float]) -> Tensor:
 
 def acceleration_ratio(fit: Motion, truth: Motion) -> Tensor:
     """Mean size of the acceleration about the pelvis over the true one."""
-    return metrics.mean_acceleration(_about_pelvis(fit), fit.fps) / metrics.mean_acceleration(
-        _about_pelvis(truth), truth.fps
-    )
+    mine, true = (metrics.mean_acceleration(_about_pelvis(x), x.fps) for x in (fit, truth))
+    return mine / true

@@ -14,9 +14,10 @@ from motionlab.body import BodyModel
 from motionlab.footage.overlay import as_camera, bodies_over, labelled
 from motionlab.motion import Motion
 from motionlab.observation import Camera, Observation2D
-from motionlab.viz.movie import Film, drawn, jpeg, overlay, write_film
+from motionlab.viz.movie import Film, drawn, jpeg, write_film
 from motionlab.viz.palette import PAPER
 from motionlab.viz.scene import Scene
+from studies.shared.overlay import overlay
 
 WIDTH = 300  # pixels of a panel
 
@@ -68,7 +69,7 @@ def bodies(
 def detections(seen: Observation2D, camera: Camera, pictures: Pictures, frames: Sequence[int]) -> list[np.ndarray]:
     """Draws keypoints over the pictures of some frames."""
     seen, wide = replace(seen, camera=camera), max(2.5, pictures(frames[0]).shape[1] / 250)
-    return [overlay(seen, pictures(frame), frame, "observation", wide) for frame in frames]
+    return [overlay(seen, pictures(frame), frame, wide) for frame in frames]
 
 
 def side_by_side(panels: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -1,13 +1,11 @@
 """Real keypoints: Pose2Sim's person from each single view, a synthetic stand-in, and a folder of one's own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -16,7 +14,6 @@ from torch import Tensor
 from data_synth import scenes
 from motionlab import metrics
 from motionlab.body import BodyModel
-from motionlab.errors import DataError
 from motionlab.footage.fit import landmarks_of, pixels_of
 from motionlab.humor import testops
 from motionlab.humor.priors import Priors
@@ -67,7 +64,7 @@ class Views(NamedTuple):
         """Returns one view's keypoints (T, 25, 2), or their first frames."""
         return part(self.observation, index, slice(frames))
 
-    def first(self, frames: int) -> Views:
+    def first(self, frames: int) -> Self:
         """Returns the first frames of every view."""
         reference = None if self.reference is None else self.reference[:frames]
         return self._replace(observation=part(self.observation, slice(None), slice(frames)), reference=reference)
@@ -75,17 +72,10 @@ class Views(NamedTuple):
 
 @cache
 def pose2sim(folder: Path | str) -> Views:
-    """Reads Pose2Sim's balancing person from four views at 30 fps; the reference is that of its authors.
-
-    Raises:
-        DataError: a file cannot be read, or there are not as many cameras as views.
-    """
+    """Reads Pose2Sim's balancing person from four views at 30 fps; the reference is that of its authors."""
     folder = Path(folder)
     places = sorted((folder / "single_balancing").glob("cam*_json"))
     cameras = list(load_cameras(folder / "Calib.qca.txt").values())
-    if not places or len(places) != len(cameras):
-        message = f"{len(places)} views and {len(cameras)} cameras"
-        raise DataError(message, path=folder / "single_balancing", remedy="unpack the data set again")
     seen = [to_body_25(keypoints.load_person(p, fps=60.0, layout="BODY_25B")) for p in places]
     names = tuple(place.name.removesuffix("_json") for place in places)
     markers = points.load_trc(folder / "ref3d" / "Balancing_for_IK.trc")
@@ -134,20 +124,17 @@ def given(views: Views, how: str, focal: float = 1.0, index: int | None = None) 
 
 
 class Refits:
-    """Fits of the first frames of one view by shooting, made when they are first asked for."""
+    """Fits of the first frames of one view by shooting, made when they are first asked for; how and focal: as of
+    :func:`given`."""
 
-    def __init__(self, views: Views, priors: Priors, schedule: Schedule | None = None, frames: int = 30) -> None:
-        self.views, self.priors, self.schedule, self.frames = views, priors, schedule, frames
-        self.found: dict[tuple[int, str, float], Fitted] = {}
+    def __init__(self, views: Views, priors: Priors, schedule: Schedule | None, frames: int) -> None:
+        self.views, self.frames = views, frames
+        fit = partial(testops.fit, priors=priors, schedule=schedule, solver="shooting")
+        self.fit = cache(lambda k, how, focal: fit(views.clip(k, frames), **given(views, how, focal, k)))
 
     def __call__(self, index: int, how: str, focal: float = 1.0) -> Fitted:
-        """Returns the fit of a view; how and focal: as of :func:`given`."""
-        key = (index, how, round(focal, 3))
-        if key not in self.found:
-            seen = self.views.clip(index, self.frames)
-            known = given(self.views, how, focal, index)
-            self.found[key] = testops.fit(seen, self.priors, schedule=self.schedule, solver="shooting", **known)
-        return self.found[key]
+        """Returns the fit of a view."""
+        return self.fit(index, how, focal)
 
     def cameras(self, stage: int, index: int, how: str, focal: float = 1.0) -> list[Camera]:
         """Returns the camera that a stage of a fit saw by: stage 3 may have moved it."""

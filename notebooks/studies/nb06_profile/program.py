@@ -5,10 +5,11 @@ into phases in which every closure costs the same: the program takes, over all p
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from matplotlib.figure import Figure
@@ -46,13 +47,9 @@ class Closure:
         self.unknown = work.unknowns(Part(3, work.frames), on)
         self.body = savings.body_of(self.unknown, self.problem.evidence, on)
 
-    @contextmanager
-    def gradients(self) -> Iterator[None]:
-        """Clears the gradients of the unknowns; while it lasts, the networks' weights need some too unless frozen."""
-        for value in self.unknown.named().values():
-            value.grad = None
-        with savings.weights_of(self.problem.priors, self.on):
-            yield
+    def gradients(self) -> AbstractContextManager:
+        """Clears the gradients; while it lasts, the networks' weights need some too unless frozen."""
+        return savings.gradients(self.problem, self.unknown, self.on)
 
     def first_state(self) -> Tensor:
         """Computes x_0 (B, 339): the pose prior's pose, and the body's joints in it."""
@@ -102,8 +99,7 @@ class Bars:
 
 
 # ------------------------------------------------------------------------------------------------- the whole schedule
-@dataclass(frozen=True)
-class Phase:
+class Phase(NamedTuple):
     """A part of a fit: its name, the closure that it repeats, and how often."""
 
     name: str
@@ -140,13 +136,6 @@ class Spent:
                 total = total + phase.closures * sum(x for name, x in spent.items() if not parts or name in parts)
         return total
 
-    def minutes(self) -> dict[str, dict[str, float]]:
-        """Minutes that the program spends in each part of each phase, from medians."""
-        return {
-            phase.name: {name: phase.closures * x.median().item() / 60 for name, x in spent.items()}
-            for phase, spent in zip(self.phases, self.seconds, strict=True)
-        }
-
 
 def spend(contenders: Mapping[str, tuple[Workload, Savings]], *, n: int) -> dict[str, Spent]:
     """Time one closure of each phase of each contender, in n rounds through all of them after one more."""
@@ -170,14 +159,14 @@ def _parts(closure: Callable[..., Tensor]) -> dict[str, float]:
 
 
 def minutes(spent: Spent) -> dict[str, dict[str, float]]:
-    """Computes minutes of the schedule by phase and part, the two phases of stage 3 with all frames as one."""
+    """Computes minutes of the schedule by phase and part, from medians; the last two, with all frames, are one."""
     found: dict[str, dict[str, float]] = {}
-    for phase, parts in spent.minutes().items():
-        whole = phase.startswith("stage 3") and "first" not in phase.replace("first state", "")
-        name = f"stage 3: all {spent.phases[-1].part.frames} frames" if whole else phase
+    for phase, parts in zip(spent.phases, spent.seconds, strict=True):
+        name = f"stage 3: all {phase.part.frames} frames" if phase in spent.phases[-2:] else phase.name
         row = found.setdefault(name, {"roll-out function": 0.0, "body and energies": 0.0, "backward": 0.0})
-        for part, took in parts.items():
-            row["roll-out function" if part in _FUNCTION else part if part in row else "body and energies"] += took
+        for part, x in parts.items():
+            kind = "roll-out function" if part in _FUNCTION else part if part in row else "body and energies"
+            row[kind] += phase.closures * x.median().item() / 60
     return found
 
 
@@ -220,10 +209,8 @@ def alone_table(found: Mapping[str, Tensor], official: Official) -> list[dict[st
 def drawn(
     official: Official, found: Mapping[str, tuple[float, float, float]], lean: Mapping[str, Tensor]
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """Computes what ``figures.shares`` draws: (value, low, high) of every share, by program.
-
-    found: of the faithful form on this machine.
-    """
+    """Computes what ``figures.shares`` draws: (value, low, high) of every share, by program. found: of the faithful
+    form on this machine."""
     theirs = {name: (x, x, x) for name, x in official.shares().items()}
     (last,) = CAUSE
     theirs[last] = (theirs[last][0], *official.range(theirs[last][0]))

@@ -4,13 +4,12 @@ The judge is the same for all variants: the exact roll-out of the x_0 and z that
 Source: thesis 3.3.3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -49,7 +48,7 @@ class Case:
     truth: Motion
     stage_2: Motion
 
-    def rows(self, index: Tensor) -> Case:
+    def rows(self, index: Tensor) -> Self:
         """Some of the clips, or some several times, in the order of ``index``."""
         start = {n: x[index] for n, x in self.start.items()}
         return Case(self.problem.rows(index), start, self.truth.clip(index), self.stage_2.clip(index))

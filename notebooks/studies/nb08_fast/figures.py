@@ -22,10 +22,8 @@ _FLOOR = 0.01
 
 
 def toy(spectra: Mapping[str, np.ndarray], paths: Mapping[str, np.ndarray], seen: np.ndarray) -> Figure:
-    """Draws the eigenvalues of the toy's Hessian in two sets of unknowns, and what one push does to the walk.
-
-    spectra: label -> eigenvalues (T,). paths: label -> places (T,) less those without the push. seen (T,): bool.
-    """
+    """Draws the eigenvalues of the toy's Hessian in two sets of unknowns, and what one push does to the walk. spectra:
+    label -> eigenvalues (T,). paths: label -> places (T,) less those without the push. seen (T,): bool."""
     fig, (left, right) = canvas(1, 2, size=(10.0, 3.2))
     for (label, values), (way, path) in zip(spectra.items(), paths.items(), strict=True):
         paint, steps = colour(ROLES[way]), range(1, len(seen) + 1)
@@ -43,9 +41,8 @@ def toy(spectra: Mapping[str, np.ndarray], paths: Mapping[str, np.ndarray], seen
 
 def nudge(found: Nudged, frame: int, body: BodyModel) -> Figure:
     """Draws both bodies at one frame over the grey one that was not nudged, and how far they are from it over time."""
-    built, _ = stage(found.after, ROLES, body, size=(820, 460), ghost=found.before, follow=True)
-    with built:
-        picture = built.image(frame / found.before.fps)
+    with stage(found.after, ROLES, body, size=(820, 460), ghost=found.before, follow=True)[0] as scene:
+        picture = scene.image(frame / found.before.fps)
     fig, (left, right) = canvas(1, 2, size=(11.0, 3.2))
     left.imshow(picture)
     left.set_axis_off()
@@ -83,9 +80,7 @@ def profiles(
     found: Mapping[str, Mapping[str, Tensor]], times: Sequence[float], sources: Mapping[str, Sequence[int]]
 ) -> Figure:
     """Draws by source (rows) and measure (columns) the median over clips at so many seconds, and the middle half.
-
-    found: measure -> contender -> (B, N). sources: source -> its clips.
-    """
+    found: measure -> contender -> (B, N). sources: source -> its clips."""
     labels = {"energy": "above the best (nats a frame)", "seen": "joints in view (cm)", "hidden": "hidden joints (cm)"}
     fig, axes = canvas(len(sources), len(found), size=(11.0, 2.8 * len(sources)), sharex=True, sharey="col")
     for ax, (source, measure) in zip(axes, ((s, m) for s in sources for m in found), strict=True):
@@ -108,6 +103,5 @@ def profiles(
 
 def picture(shown: Mapping[str, Motion], body: BodyModel, seconds: float, things: Sequence[Mesh]) -> np.ndarray:
     """Draws bodies side by side at one time, the truth in grey behind all others."""
-    built, _ = stage(shown, ROLES, body, size=(1080, 400), things=things, ghost=next(iter(shown.values())))
-    with built:
-        return built.image(seconds)
+    with stage(shown, ROLES, body, (1080, 400), things=things, ghost=next(iter(shown.values())))[0] as scene:
+        return scene.image(seconds)

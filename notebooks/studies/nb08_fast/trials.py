@@ -4,12 +4,10 @@ All lower the same energy, that of an exact roll-out (``stages.motion_terms``), 
 becomes of one nudge of one latent, in a plain roll-out and in one that steers itself.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -50,7 +48,7 @@ class Task:
     seen: Tensor
     seconds: float = 0.0
 
-    def rows(self, index: Sequence[int] | Tensor) -> Task:
+    def rows(self, index: Sequence[int] | Tensor) -> Self:
         """Some clips, in the order of ``index``."""
         at = torch.as_tensor(index)
         return replace(
@@ -58,7 +56,7 @@ class Task:
             latent=self.latent[at], truth=self.truth.clip(at), rough=self.rough.clip(at), seen=self.seen[at],
         )  # fmt: skip
 
-    def begun(self, eager: float, trust: Tensor | None = None) -> Task:
+    def begun(self, eager: float, trust: Tensor | None = None) -> Self:
         """The same at another start (``start.start_stage_3``), joints believed as the evidence has them or as told."""
         trust = self.problem.evidence.confidence_per_joint if trust is None else trust
         how = (trust, self.problem.priors, "lean", self.problem.weights.pull, eager)

@@ -72,11 +72,6 @@ def held(clips: Sequence[Clip], heat: float, floor: float, wide: float) -> Tenso
     return by_person(clips, lambda c: (deviations(c, heat, floor)[0] <= wide).double())
 
 
-def half_width(clips: Sequence[Clip], heat: float, floor: float, wide: float) -> Tensor:
-    """Mean half-width (P,) of these regions, cm: the root mean square of their semi-axes."""
-    return CM * wide * by_person(clips, lambda c: gaussian(c, heat, floor)[1].square().sum((-1, -2)).div(3).sqrt())
-
-
 def energy_score(draws: Tensor, truth: Tensor) -> Tensor:
     """Energy score (M,) of draws (K, M, 3), cm: their mean error less half of their mean distance from each other."""
     error, places = (draws - truth).norm(dim=-1).mean(0), draws.transpose(0, 1)
@@ -150,7 +145,8 @@ def rows(asked, held_, kinds, generator: Seeds) -> list[dict]:
             row = {"regions": kind, "people": f"{people}, n = {len(held_[people][kind][0.5])}"}
             for level, shares in held_[people][kind].items():
                 row[f"of {100 * level:.0f} % hold, %"] = said(100 * shares, generator(f"{people} {kind} {level}"))
-            row["half-width at 90 %, cm"] = f"{half_width(clips, heat, floor, radii[0.9]).mean():.1f}"
+            axes = lambda c, how=(heat, floor): gaussian(c, *how)[1].square().sum((-1, -2)).div(3).sqrt()  # noqa: E731
+            row["half-width at 90 %, cm"] = f"{(CM * radii[0.9] * by_person(clips, axes)).mean():.1f}"
             table.append(row)
     return table
 

@@ -189,11 +189,9 @@ def deviation(x: Tensor, mean: Tensor, covariance: Tensor) -> float:
 def end_to_end(
     schedule: NoiseSchedule, steps: int, count: int, generator: torch.Generator, *, off: float = 0.0
 ) -> dict[str, float]:
-    """DDPM in ``steps`` of a schedule's steps on Gaussian data with its exact denoiser, ``count`` samples from noise.
-
-    Returns worst entries in standard errors: "chain" from what the chain must give (``GaussianData.sampled``), "data"
-    from the data. off: added to the mean that samples are compared with, a control.
-    """
+    """DDPM in ``steps`` of a schedule's steps on Gaussian data with its exact denoiser, ``count`` samples from noise:
+    worst entries in standard errors, "chain" from what the chain must give (``GaussianData.sampled``), "data" from the
+    data. off: added to the mean that samples are compared with, a control."""
     data, few = gaussian_data(generator), schedule.respaced(steps)
     noise = torch.randn(count, SIZE, generator=generator, dtype=F64)
     denoise = data.denoiser(few)

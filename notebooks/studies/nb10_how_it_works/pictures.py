@@ -86,10 +86,7 @@ def schedules(named: Mapping[str, NoiseSchedule], errors: Mapping[str, Mapping[i
 
 def measured(rows: Sequence[dict], arm: str) -> dict[str, Tensor]:
     """By measure, what an arm of small models leaves, for each seed (S,): four of estimates, two of samples."""
-    found = {
-        said: small_models.estimates_by_seed(rows, arm, name).flatten(1).mean(1) / unit
-        for said, (name, unit) in _ESTIMATES.items()
-    }
+    found = {said: small_models.by_seed(rows, arm, name) / unit for said, (name, unit) in _ESTIMATES.items()}
     found["new: slide, mm"] = small_models.by_seed(rows, arm, "slide, mm a frame")
     found["new: missed, %"] = 100 * (1 - small_models.by_seed(rows, arm, "coverage"))
     return found

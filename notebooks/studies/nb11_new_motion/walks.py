@@ -51,11 +51,8 @@ class _Chain:
 def ddpm(
     model: MotionDiffusion, counts: Sequence[int], count: int, generator: torch.Generator
 ) -> tuple[dict[int, Tensor], dict[float, Tensor]]:
-    """Draws ``count`` samples (N, T, D), normalised numbers, in each of several numbers of steps, along one noise.
-
-    Returns:
-        steps -> samples; and share of the steps left -> the longest chain's estimate of x_0 (N, T, D), of ``LEFT``.
-    """
+    """Draws ``count`` samples (N, T, D), normalised numbers, in each of several numbers of steps, along one noise:
+    steps -> samples; and share of the steps left -> the longest chain's estimate of x_0 (N, T, D), of ``LEFT``."""
     full, start = model.schedule, model.noise(count, generator)
     strength = full.alpha_bar / (1 - full.alpha_bar)
     chains = {n: _Chain(full.respaced(n), start.clone(), n - 1, torch.zeros_like(start)) for n in counts}

@@ -21,7 +21,6 @@ from motionlab.contact import with_contacts
 from motionlab.diffusion import completer, sampling
 from motionlab.diffusion.features import UNITS, Layout, Normaliser
 from motionlab.diffusion.model import MotionDiffusion
-from motionlab.diffusion.sampling import NoiseSchedule
 from motionlab.heading import local_to_world, stuck_root, world_to_local
 from motionlab.motion import Motion
 from studies.shared.fill_bench import ERROR, SCORE, Result
@@ -52,12 +51,6 @@ def noise_size(layout: Layout, normaliser: Normaliser, turn: float, shift: float
     return size / normaliser.scale
 
 
-def _begin(schedule: NoiseSchedule, size: float) -> int:
-    """The step t* that is about as noisy, for its signal, as a signal of unit size with noise of this size."""
-    ratio = ((1 - schedule.alpha_bar) / schedule.alpha_bar).log()
-    return int((ratio - 2 * torch.tensor(size, dtype=ratio.dtype).log()).abs().argmin())
-
-
 @torch.no_grad()
 def denoise(
     model: MotionDiffusion, noisy: Motion, rough: Motion, noise: Noise, generator: torch.Generator,
@@ -74,7 +67,8 @@ def denoise(
     local = world_to_local(frame, rough if start.filtered else noisy)
     local = replace(local, contacts=with_contacts(rough).contacts)
     y = model.normaliser.apply(replace(model.layout, frame="world").encode(local))
-    t = _begin(model.schedule, whole)
+    ratio = ((1 - model.schedule.alpha_bar) / model.schedule.alpha_bar).log()
+    t = int((ratio - 2 * torch.tensor(whole, dtype=ratio.dtype).log()).abs().argmin())
     signal, stamps = model.schedule.alpha_bar[t].sqrt().to(y), model.schedule.stamps[t].expand(len(y))
     more = (whole**2 - size**2).clamp(min=0).sqrt() if start.topped else torch.zeros_like(size)
     total = torch.zeros_like(y)
@@ -94,9 +88,7 @@ def wiener(rivals: Rivals, motion: Motion, rough: Motion, noise: Noise) -> Motio
 
 def one_euro(x: Tensor, fps: float, min_cutoff: float, beta: float) -> Tensor:
     """Smooths x (..., T, D) by the one-euro filter (Casiez et al. 2012): a causal low-pass that opens with speed.
-
-    min_cutoff: Hz, at rest. beta: Hz per (unit of x / s).
-    """
+    min_cutoff: Hz, at rest. beta: Hz per (unit of x / s)."""
     frames, alpha = x.unbind(-2), lambda cutoff: 1 / (1 + fps / (2 * torch.pi * cutoff))
     speed, out = torch.zeros_like(frames[0]), [frames[0]]
     for before, now in pairwise(frames):
@@ -106,10 +98,8 @@ def one_euro(x: Tensor, fps: float, min_cutoff: float, beta: float) -> Tensor:
 
 
 def filtered(motion: Motion, name: str, **settings: float) -> Motion:
-    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres.
-
-    The Kalman smoother's strength of acceleration is per unit of noise.
-    """
+    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres. The Kalman
+    smoother's strength of acceleration is per unit of noise."""
     apply, _ = FILTERS[name]
     return baselines.smooth(motion, lambda x: apply(x, motion.fps, **settings))
 

@@ -71,17 +71,13 @@ def cut_and_faded(a: Motion, b: Motion) -> Motion:
     for at in range(start + _FADE, start + GAP - _FADE + 1):
         there, near = _placed(b, at, a, at), slice(at - 1, at + 2)
         off.append((a.positions[:, near] - there.positions[:, near]).norm(dim=-1).mean((1, 2)))
-        made.append(_crossed(a, there, at))
+        share = ((torch.arange(FRAMES) - (at - _FADE)) / (2 * _FADE)).clamp(0, 1)[:, None]
+        share = share * share * (3 - 2 * share)
+        rot = rotation.slerp(a.rot, there.rot, share)
+        made.append(replace(a, root=torch.lerp(a.root, there.root, share), rot=rot, contacts=None))
     best = torch.stack(off).argmin(0), torch.arange(len(a.root))
     root, rot = (torch.stack([getattr(m, part) for m in made])[best] for part in ("root", "rot"))
     return replace(made[0], root=root, rot=rot)
-
-
-def _crossed(a: Motion, b: Motion, at: int) -> Motion:
-    share = ((torch.arange(FRAMES) - (at - _FADE)) / (2 * _FADE)).clamp(0, 1)
-    share = share * share * (3 - 2 * share)
-    rot = rotation.slerp(a.rot, b.rot, share[:, None])
-    return replace(a, root=torch.lerp(a.root, b.root, share[:, None]), rot=rot, contacts=None)
 
 
 def _placed(motion: Motion, here: int, other: Motion, there: int) -> Motion:

@@ -4,12 +4,11 @@ Known poses are looked up, or averaged by a Gaussian. Source: ridge regression o
 (Bishop 2006, 2.3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -49,7 +48,7 @@ class Poses:
         """(N, 22, 3), metres."""
         return self.truth.positions[:, 0]
 
-    def at(self, k: int) -> Poses:
+    def at(self, k: int) -> Self:
         """The k-th alone, as one person's."""
         one = slice(k, k + 1)
         return Poses(self.truth.clip(one), self.last.clip(one), torch.zeros_like(self.whose[one]), self.lacks[one])

@@ -9,8 +9,8 @@ each counting alike. Beside it stands ridge regression of the same motion. A run
 already is not made again.
 """
 
-import argparse
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -75,13 +75,10 @@ def trained(takes: Sequence[Take], seed: int, val: PersonWindows, test: PersonWi
 
 def main() -> None:
     """Trains what is not there yet and keeps each run as it ends."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder")
-    parser.add_argument("out", type=Path)
-    options = parser.parse_args()
-    found = corpus.assemble(options.folder, splits.real_sources(options.folder))
+    folder, out = map(Path, sys.argv[1:])
+    found = corpus.assemble(folder, splits.real_sources(folder))
     windows = {part: person_windows(found.part(part), FRAMES, n) for part, n in (("val", PRACTICE), ("test", EACH))}
-    every = json.loads(options.out.read_text()) if options.out.exists() else {}
+    every = json.loads(out.read_text()) if out.exists() else {}
     rows = every.setdefault("completer", [])
     done = {(row["share"], row["seed"]) for row in rows}
     for seed, share in tqdm([(seed, share) for seed in SEEDS for share in SHARES if (share, seed) not in done]):
@@ -89,7 +86,7 @@ def main() -> None:
         about = {"share": share, "seed": seed, "people": len({t.person for t in some})}
         about["hours"] = sum(t.motion.seconds for t in some) / 3600
         rows.append(about | trained(some, seed, **windows))
-        write_whole(options.out, json.dumps(every, indent=1) + "\n")
+        write_whole(out, json.dumps(every, indent=1) + "\n")
 
 
 if __name__ == "__main__":

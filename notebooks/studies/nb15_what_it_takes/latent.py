@@ -4,11 +4,10 @@ Its rival draws the same numbers from a Gaussian. Source: thesis 4.2.5 names MLD
 and denoiser are transformers. Differs: the autoencoder is linear and the denoiser a perceptron.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Generator, Tensor, nn
@@ -33,7 +32,7 @@ class Squeezed:
     axes: Tensor
 
     @classmethod
-    def of(cls, model: MotionDiffusion, x: Tensor, size: int, generator: Generator) -> Squeezed:
+    def of(cls, model: MotionDiffusion, x: Tensor, size: int, generator: Generator) -> Self:
         """Of training windows as rows x (N, T D), by a randomised range finder (Halko et al. 2011)."""
         mean, size = x.mean(0), min(size, len(x) - 1)
         rows, basis = x - mean, torch.randn(len(x), min(size + 16, *x.shape), generator=generator)
@@ -43,7 +42,7 @@ class Squeezed:
         values, axes = torch.linalg.eigh((rows @ basis).mT.cov(correction=0))
         return cls(model, mean, basis @ axes[:, -size:] * values[-size:].clamp(min=0).sqrt())
 
-    def of_size(self, size: int) -> Squeezed:
+    def of_size(self, size: int) -> Self:
         """The same by its largest parts alone."""
         return Squeezed(self.model, self.mean, self.axes[:, -size:])
 

@@ -98,21 +98,13 @@ def hours() -> dict[str, dict[float, Tensor]]:
     return {name: {h: torch.tensor(x).double().mean(0) for h, x in some.items()} for name, some in by.items()}
 
 
-def by_seed(trained: Sequence[dict], arm: str, measure: str) -> Tensor:
-    """What an arm of small models left, a number for each training seed (S,): of its estimates of x_0, the mean over
-    noise and people; or what its samples measured."""
-    if trained and measure in trained[0]["estimates"]:
-        return small_models.estimates_by_seed(trained, arm, measure).flatten(1).mean(1)
-    return small_models.by_seed(trained, arm, measure)
-
-
 def of_arms(
     points: Mapping[float, tuple], measures: Mapping[str, str], xlabel: str, beside: Mapping[str, Mapping] | None = None
 ) -> dict[str, Panel]:
     """A panel a measure, of arms by x: (rows, arm). beside: level lines, by name and measure."""
     found = {}
     for key, label in measures.items():
-        line = {x: by_seed(trained, arm, key) for x, (trained, arm) in points.items()}
+        line = {x: small_models.by_seed(trained, arm, key) for x, (trained, arm) in points.items()}
         levels = {n: torch.tensor([some[key]]) for n, some in (beside or {}).items() if key in some}
         found[label] = Panel({"the thesis's, small": line}, xlabel, "", levels)
     return found
@@ -121,5 +113,5 @@ def of_arms(
 def against(trained: Sequence[dict], arm: str, other: str, measure: str) -> tuple[Tensor, Tensor]:
     """What one arm left over what another did, for each training seed (S,); and the other of the next seed over that of
     the same, which is what luck makes of nothing."""
-    mine, theirs = (by_seed(trained, name, measure) for name in (arm, other))
+    mine, theirs = (small_models.by_seed(trained, name, measure) for name in (arm, other))
     return mine / theirs, theirs.roll(1) / theirs

@@ -114,17 +114,14 @@ def _apply(parts: State, raw: Tensor) -> tuple[State, Tensor]:
 
 
 def rollout(
-    model: Cvae, first: Tensor, z: Tensor | None, *, steps: int | None = None, with_prior: bool = True,
-    canonical: bool = False, align: Callable[[Tensor], Tensor] = alignment, prior_inside: bool = True
+    model: Cvae, first: Tensor, z: Tensor | None, *, steps: int | None = None, canonical: bool = False,
+    align: Callable[[Tensor], Tensor] = alignment, prior_inside: bool = True,
 ) -> Rollout:  # fmt: skip
-    """T transitions, one after the other; arguments and result as ``rollout.rollout``.
+    """T transitions from first (B, 339), one after the other; arguments and result as ``rollout.rollout``.
 
-    Args:
-        first: (B, 339) states, world coordinates. z: (B, T, 48), or None for the prior's mean in each of ``steps``.
-        with_prior: return the prior; it is evaluated in any case.
-        canonical: ``first`` is in its own heading frame already and is used as it is.
-        align, prior_inside: not as the official code does it, for ``shared.savings``: another rotation (B, 3, 3) into
-            the heading frame; the prior for all steps at once, after them (z must be given).
+    z: (B, T, 48), or None for the prior's mean in each of ``steps``. canonical: ``first`` is in its own heading frame
+    already. align, prior_inside: not as the official code does it, for ``shared.savings``: another rotation (B, 3, 3)
+    into the heading frame; the prior for all steps at once, after them (z must be given).
     """
     steps = steps if z is None else z.shape[1]
     parts = split(first)
@@ -134,13 +131,13 @@ def rollout(
     offset = _trans_to_joint(parts | {"trans": torch.zeros_like(parts["trans"])})  # it is above the origin
     turn = torch.eye(3, dtype=first.dtype, device=first.device).expand(len(first), 3, 3)
     shift = first.new_zeros(len(first), 3)
-    states, logits, latents, means, log_vars, pasts = [], [], [], [], [], []
+    states, logits, latents, priors, pasts = [], [], [], [], []
     for t in range(steps):
         past = _join(parts)[:, 0]
         pasts.append(past)
         if prior_inside:
             prior = Gaussian(*_run(model.prior_net, past).chunk(2, dim=-1))
-            means.append(prior.mean), log_vars.append(prior.log_var)
+            priors.append(prior)
         now = prior.mean if z is None else z[:, t]
         raw = _run(model.decoder, torch.cat((past, now), dim=-1))
         after, contacts = _apply(parts, raw if model.skip is None else raw + model.skip(past))
@@ -154,12 +151,8 @@ def rollout(
     found = torch.cat(states, dim=1)
     if not canonical:
         found = _join(_move_back(_parts(found), *world))
-    if not with_prior:
-        prior = None
-    elif prior_inside:
-        prior = Gaussian(torch.stack(means, dim=1), torch.stack(log_vars, dim=1))
-    else:
-        prior = model.prior(torch.stack(pasts, dim=1))
+    inside = Gaussian(*(torch.stack(x, dim=1) for x in zip(*priors, strict=True))) if prior_inside else None
+    prior = inside or model.prior(torch.stack(pasts, dim=1))
     return Rollout(found, torch.cat(logits, dim=1), torch.stack(latents, dim=1), prior)
 
 

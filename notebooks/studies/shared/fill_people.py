@@ -3,11 +3,10 @@
 Without recordings, the sequences of the synthetic subject whom nobody trained on stand for people.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -38,7 +37,7 @@ class Cast:
     clips: Tensor
 
     @classmethod
-    def of(cls, folder: Path | str | None, each: int, val: int, library: int, generator: torch.Generator) -> Cast:
+    def of(cls, folder: Path | str | None, each: int, val: int, library: int, generator: torch.Generator) -> Self:
         """each, val: windows of each test person and of validation people. library: N."""
         if folder:
             found = corpus.assemble(folder, splits.real_sources(folder))

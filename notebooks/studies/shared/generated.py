@@ -8,21 +8,20 @@ Source: Naeem et al. 2020 (coverage), Kynkaanniemi et al. 2019 (recall), Heusel 
 1981 (pseudo-values); Lopez-Paz and Oquab 2017 (the classifier of two samples).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
 
 from motionlab import metrics
 from motionlab.bench import by_person
-from motionlab.diffusion.encoder import motion_encoder
 from motionlab.metrics import interval
 from motionlab.motion import Motion
 from studies.shared import small_measures
+from studies.shared.feature_training import motion_encoder
 
 #: Ratios of means, by the field of ``Judged`` that is averaged.
 RATIOS = ("travel", "slide", "acceleration")
@@ -39,13 +38,13 @@ class Judged:
     acceleration: Tensor
 
     @classmethod
-    def of(cls, motion: Motion) -> Judged:
+    def of(cls, motion: Motion) -> Self:
         """Measures windows (N, T) on the standard body, feet on a floor at z = 0."""
         shaken = motion.fps**2 * motion.positions.diff(n=2, dim=-3).norm(dim=-1).mean((-1, -2))
         slide, latent = small_measures.slide_mm(motion), motion_encoder("features_real")(motion)
         return cls(latent, small_measures.travel(motion), slide, shaken)
 
-    def clip(self, rows: Tensor) -> Judged:
+    def clip(self, rows: Tensor) -> Self:
         """Those rows, a mask or indices, as ``Motion.clip`` takes them."""
         return Judged(self.latent[rows], self.travel[rows], self.slide[rows], self.acceleration[rows])
 

@@ -25,7 +25,7 @@ def interleaved(
     for call in calls.values():
         for _ in range(warm_up):
             call()
-    was_on, seconds = gc.isenabled(), {name: torch.zeros(n, dtype=torch.float64) for name in calls}
+    seconds = {name: torch.zeros(n, dtype=torch.float64) for name in calls}
     gc.disable()
     try:
         for k in range(n):
@@ -35,8 +35,7 @@ def interleaved(
                     call()
                 seconds[name][k] = watch.seconds["call"]
     finally:
-        if was_on:
-            gc.enable()
+        gc.enable()
     return seconds
 
 

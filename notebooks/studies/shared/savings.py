@@ -41,15 +41,11 @@ Mark = Callable[[str], AbstractContextManager]
 class Savings:
     """What a closure of stage 3 leaves out.
 
-    frozen: gradients of the networks' weights.
-    prior_after: the prior inside the chain; it is evaluated once for all steps.
-    joints_only: the mesh; forward kinematics is enough.
-    needed_frames: bodies that nobody looks at: one frame as a whole clip three times over, the sequence twice and
-        filled up to the whole clip.
-    matrices: rotation vectors between any two parts.
-    exact_heading: the heading by acos.
-    lean_layout: the state as a dict of parts, and autograd's record of every small operation: the derivative of the
-        chain is written out.
+    frozen: gradients of the networks' weights. prior_after: the prior inside the chain; it is evaluated once for all
+    steps. joints_only: the mesh; forward kinematics is enough. needed_frames: bodies that nobody looks at: one frame as
+    a whole clip three times over, the sequence twice and filled up to the whole clip. matrices: rotation vectors
+    between any two parts. exact_heading: the heading by acos. lean_layout: the state as a dict of parts, and autograd's
+    record of every small operation: the derivative of the chain is written out.
     """
 
     frozen: bool = False
@@ -94,6 +90,15 @@ def weights_of(priors: Priors, on: Savings) -> Iterator[None]:
     finally:
         for weight, needed in zip(weights, before, strict=True):
             weight.requires_grad_(needed).grad = None
+
+
+@contextmanager
+def gradients(problem: Problem, unknown: Unknowns, on: Savings) -> Iterator[None]:
+    """Clears the gradients of the unknowns; while it lasts, the networks' weights need some too unless frozen."""
+    for value in unknown.named().values():
+        value.grad = None
+    with weights_of(problem.priors, on):
+        yield
 
 
 def exact_alignment(orientation: Tensor) -> Tensor:
@@ -233,9 +238,7 @@ def closure(problem: Problem, unknown: Unknowns, on: Savings, *, mark: Mark = nu
     Gradients of the weights, where there are any, are made and dropped; official fits, which never clear them, pay for
     their sum, too.
     """
-    for value in unknown.named().values():
-        value.grad = None
-    with weights_of(problem.priors, on):
+    with gradients(problem, unknown, on):
         value = sum(terms(problem, unknown, on, mark=mark, **how).values())
         with mark("backward"):
             value.sum().backward()

@@ -8,7 +8,6 @@ run that is killed goes on. It works at the lowest priority, on one core.
 """
 
 import argparse
-import contextlib
 import hashlib
 import json
 import os
@@ -24,7 +23,6 @@ from motionlab import corpus, splits
 from motionlab.bench import FRAMES, PersonWindows, person_windows
 from motionlab.diffusion.model import LOSS_WEIGHTS, DenoiserRecipe, MotionDiffusion, load_denoiser, save_denoiser
 from motionlab.diffusion.windows import Windows
-from motionlab.errors import DataError
 from motionlab.files import write_whole
 from motionlab.motion import Motion
 from motionlab.training.courses import learnt_from
@@ -86,15 +84,8 @@ SETS: dict[str, list[Arm]] = {
 
 def record(name: str) -> dict:
     """Reads what is kept of a set: "rows", each with "arm", "seed" and what ``small_measures.measured`` found, and
-    "beside", of recorded motion.
-
-    Raises:
-        DataError: nothing is kept of it.
-    """
-    path, remedy = RECORDS / f"small_{name}.json", f"python -m studies.shared.small_models {name}, or make small"
-    if not path.exists():
-        raise DataError("nothing is kept of this set", path=path, remedy=remedy)
-    return json.loads(path.read_text(encoding="utf-8"))
+    "beside", of recorded motion."""
+    return json.loads((RECORDS / f"small_{name}.json").read_text(encoding="utf-8"))
 
 
 def paired(name: str, arms: Collection[str]) -> list[dict]:
@@ -109,7 +100,10 @@ def _of(rows: Sequence[dict], arm: str) -> list[dict]:
 
 
 def by_seed(rows: Sequence[dict], arm: str, measure: str) -> torch.Tensor:
-    """What the samples of an arm measured, a number for each seed (S,), in the order of seeds."""
+    """What an arm measured, a number for each seed (S,), in the order of seeds: of its estimates of x_0, the mean over
+    noise and people; or of its samples."""
+    if rows and measure in rows[0]["estimates"]:
+        return estimates_by_seed(rows, arm, measure).flatten(1).mean(1)
     return torch.tensor([row["samples"][measure] for row in _of(rows, arm)], dtype=torch.float64)
 
 
@@ -134,13 +128,6 @@ def folder() -> Path:
     found = corpus.cache_folder().with_name("training") / "small"
     found.mkdir(parents=True, exist_ok=True)
     return found
-
-
-def _data(recordings: Path) -> _Data:
-    """Windows of a folder of recordings; minutes."""
-    windows, takes = learnt_from(recordings, FRAMES)
-    test = corpus.assemble(recordings, splits.real_sources(recordings)).part("test")
-    return _Data(windows, person_windows(takes, FRAMES, _PRACTICE).motion, person_windows(test, FRAMES, _EACH))
 
 
 def _of_people(windows: Windows, count: int, seed: int) -> Windows:
@@ -216,9 +203,10 @@ def command(arguments: Sequence[str] | None = None) -> None:
     if not options.data:
         parser.error("these models learn from recordings: name a folder of them with --data")
     torch.set_num_threads(1)
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(19)
-    data = _data(Path(options.data))
+    os.nice(19)
+    windows, takes = learnt_from(options.data, FRAMES)
+    test = corpus.assemble(options.data, splits.real_sources(options.data)).part("test")
+    data = _Data(windows, person_windows(takes, FRAMES, _PRACTICE).motion, person_windows(test, FRAMES, _EACH))
     for name in options.sets:
         run(name, data, options.seeds)
 

@@ -22,19 +22,13 @@ def minimise(
     """Lowers an energy, a scalar from all variables by name, by moving those that require gradients: the point with the
     lowest energy that was evaluated, and the energies of all closures (evaluations of energy and gradient), in order.
 
-    The tensors passed in are copied, never moved. A spent budget or a number that is not finite ends the search; NaN is
-    never returned.
-
-    Args:
-        method: "lbfgs" (strong Wolfe line search) or "adam".
-        steps: outer steps; each is up to ``inner`` iterations (5/4 as many closures) of L-BFGS, or one of Adam.
-        max_closures: never evaluate more often than this: equal budgets for methods that differ.
-        memory: pairs that L-BFGS remembers.
-        tolerance_grad: stop when the largest entry of the gradient is at most this.
+    The tensors passed in are copied, never moved. A spent budget (max_closures) or a number that is not finite ends the
+    search; NaN is never returned. method: "lbfgs" (strong Wolfe line search) or "adam". steps: outer ones, each up to
+    ``inner`` iterations (5/4 as many closures) of L-BFGS, which remembers ``memory`` pairs, or one of Adam.
+    tolerance_grad: of the largest entry of the gradient, where the search stops.
 
     Raises:
         NotConverged: the energy or its gradient is not finite at the start.
-    Source: torch.optim; thesis 3.1.2 (TestOps).
     """
     point = {name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in variables.items()}
     moving = [point[name].requires_grad_() for name, value in variables.items() if value.requires_grad]

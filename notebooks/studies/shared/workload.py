@@ -4,13 +4,11 @@ What a closure costs does not depend on the networks' values, so that they are r
 detected, so that the detections are the person's own with a few pixels of noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import nullcontext
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -71,7 +69,7 @@ class Workload:
         """T."""
         return self.problem.evidence.values.shape[1]
 
-    def to(self, dtype: torch.dtype) -> Workload:
+    def to(self, dtype: torch.dtype) -> Self:
         """The same in another precision, with priors of its own; their mixture keeps its precision."""
         priors, seen = self.problem.priors, self.problem.evidence
         own = [deepcopy(model).to(dtype) for model in (priors.motion, priors.pose)]
@@ -87,9 +85,7 @@ class Workload:
             found["z"] = found["z"][:, : part.frames - 1]
         if not on.matrices if part.stage == 3 else on != LEAN:
             found["orient"] = unknowns.from_matrix(unknowns.to_matrix(found["orient"]), "official")
-        free = {1: ("trans", "orient"), 2: tuple(found)}.get(part.stage, tuple(found))
-        if part.stage == 3 and part.first_fixed:
-            free = tuple(name for name in found if name not in unknowns.FIRST)
+        free = {"trans", "orient"} if part.stage == 1 else found.keys() - (unknowns.FIRST if part.first_fixed else ())
         return Unknowns(**{name: x.detach().clone().requires_grad_(name in free) for name, x in found.items()})
 
     def closure(self, part: Part, on: Savings = LEAN, unknown: Unknowns | None = None) -> Callable[..., Tensor]:
@@ -105,9 +101,7 @@ class Workload:
         problem = replace(self.problem, **({} if on == LEAN else savings.OFFICIAL))
 
         def pose(mark: Mark = nullcontext) -> Tensor:
-            for x in unknown.named().values():
-                x.grad = None
-            with savings.weights_of(self.problem.priors, on):
+            with savings.gradients(problem, unknown, on):
                 with mark("body"):
                     value = sum(stages.pose_terms(problem, unknown, part.stage).values())
                 with mark("backward"):
