@@ -15,8 +15,10 @@ _PARTS = {"train": "observation", "val": "baseline", "test": "ours"}
 
 
 def descriptions(found: Mapping[str, Windows], clip: Tensor, name: str) -> Figure:
-    """Draws the twelve descriptions of windows by source, and where a clip (12,) lies as a line. Thick: quartiles;
-    thin: 5th to 95th percentile; dot: median."""
+    """Draws the twelve descriptions of windows by source, and where a clip (12,) lies as a line.
+
+    Thick: quartiles; thin: 5th to 95th percentile; dot: median.
+    """
     fig, axes = canvas(3, 4, size=(13.0, 1.8 + 0.85 * len(found)), sharey=True)
     for k, (ax, (what, unit)) in enumerate(zip(axes, DESCRIPTION_UNITS.items(), strict=True)):
         for row, (source, some) in enumerate(found.items()):

@@ -104,8 +104,10 @@ def _flexion(motion: Motion, *chain: str) -> Tensor:
 
 
 def describe_clips(clips: Iterable[tuple[Motion, str, str | Sequence[str]]], seconds: float) -> Windows:
-    """Describes every whole window of clips, one after the other: (motion, person, its kind or one of each frame). A
-    clip that is shorter than a window is left out. A window is of the kind of most of its frames."""
+    """Describes every whole window of clips, one after the other: (motion, person, its kind or one of each frame).
+
+    A clip that is shorter than a window is left out. A window is of the kind of most of its frames.
+    """
     tables, whose, kinds, names = [], [], [], {}
     for motion, person, kind in clips:
         length = round(seconds * motion.fps)
@@ -124,8 +126,10 @@ def describe_one(
     motion: Motion, generator: torch.Generator, *, start: float = 0.0, seconds: float = 2.0, speed: float = 1.0,
     tremble: float = 0.0,
 ) -> Tensor:  # fmt: skip
-    """Describes one window of a motion (12,): from ``start`` seconds on, played faster, its root trembling by mm. Where
-    the motion is shorter, the window ends with it."""
+    """Describes one window of a motion (12,): from ``start`` seconds on, played faster, its root trembling by mm.
+
+    Where the motion is shorter, the window ends with it.
+    """
     length = max(3, min(round(seconds * speed * motion.fps), motion.frames))
     first = min(round(start * motion.fps), motion.frames - length)
     cut = motion.cut(first, first + length)
@@ -175,8 +179,10 @@ def of_many(some: Windows, least: int) -> Windows:
 def same_kind(
     real: Windows | None, made: Windows, generator: torch.Generator, *, each: int, least: int
 ) -> Iterator[tuple[str, Windows, Windows]]:
-    """Lists kind by kind the recorded and the synthetic windows, where enough people have at least two of them. Kinds
-    with fewer synthetic windows than ``each`` are left out; without recordings there are none."""
+    """Lists kind by kind the recorded and the synthetic windows, where enough people have at least two of them.
+
+    Kinds with fewer synthetic windows than ``each`` are left out; without recordings there are none.
+    """
     for kind in KINDS if real else ():
         theirs, ours = at_most(of_many(real.of(kind), 2), each, generator), made.of(kind)
         if theirs.people >= least and len(ours.whose) >= each:
@@ -223,7 +229,9 @@ def lacking(real: Windows, made: Windows) -> Tensor:
 
 def largest_elsewhere(gaps: Tensor) -> Tensor:
     """Computes the largest of the differences (P, 12), (P,): chosen on one half of the people, measured on the other.
-    Its sign is chosen with it: where the halves do not agree, the mean is near zero."""
+
+    Its sign is chosen with it: where the halves do not agree, the mean is near zero.
+    """
     found = torch.empty(len(gaps), dtype=gaps.dtype)
     for mine, other in ((slice(0, None, 2), slice(1, None, 2)), (slice(1, None, 2), slice(0, None, 2))):
         middle = gaps[other].mean(0)

@@ -9,7 +9,9 @@ FAULTS = (lambda motion: faults.drifting(motion, 0.05), faults.lowered, faults.k
 
 def audited(free: corpus.Corpus, still: corpus.Corpus) -> dict[str, tuple[list[float], list[float]]]:
     """Computes the worst of every sequence by test, and of its first ten seconds with a fault put in on purpose.
-    planted: mm per frame. floor: mm. limits: degrees, of both versions."""
+
+    planted: mm per frame. floor: mm. limits: degrees, of both versions.
+    """
     good = [audit(s.motion) for s in free.sequences]
     drift, low, knees = ([audit(spoil(s.motion.cut(0, 300))) for s in free.sequences] for spoil in FAULTS)
     both = [*(audit(s.motion) for s in still.sequences), *good]

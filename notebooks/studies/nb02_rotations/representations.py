@@ -59,8 +59,10 @@ def jumps(representation: Representation, path: Tensor) -> Tensor:
 
 
 def hide(theta: Tensor, gap: int) -> tuple[Tensor, Tensor]:
-    """Hides the middle ``gap`` frames of parameters (..., T, P): which frames are seen (T,), and a start. The start is
-    the parameters, the last seen ones held through the gap."""
+    """Hides the middle ``gap`` frames of parameters (..., T, P): which frames are seen (T,), and a start.
+
+    The start is the parameters, the last seen ones held through the gap.
+    """
     first = (theta.shape[-2] - gap) // 2
     frames = torch.arange(theta.shape[-2])
     hidden = (frames >= first) & (frames < first + gap)
@@ -94,8 +96,10 @@ def carried_and_decoded(root: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def nearest_vector(decoded: Tensor, carried: Tensor) -> Tensor:
-    """Computes, of all vectors (..., 3) of the decoded rotations, the ones nearest to the carried vectors. They are
-    (|d| + 2 pi k) d / |d|, k any whole number."""
+    """Computes, of all vectors (..., 3) of the decoded rotations, the ones nearest to the carried vectors.
+
+    They are (|d| + 2 pi k) d / |d|, k any whole number.
+    """
     angle = decoded.norm(dim=-1, keepdim=True).clamp_min(1e-12)
     axis = decoded / angle
     turns = (((axis * carried).sum(-1, keepdim=True) - angle) / math.tau).round()

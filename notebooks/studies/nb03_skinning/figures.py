@@ -51,8 +51,10 @@ def legs_moved(groups: Mapping[str, tuple[Sequence[float], Sequence[float]]]) ->
 
 
 def trade(rows: Sequence[Mapping[str, float]]) -> Figure:
-    """What a pruning threshold leaves of the leak and of the planted entries, and how far it moves the skin. rows as of
-    :func:`studies.nb03_skinning.pruning.sweep`."""
+    """What a pruning threshold leaves of the leak and of the planted entries, and how far it moves the skin.
+
+    rows as of :func:`studies.nb03_skinning.pruning.sweep`.
+    """
     fig, axes = canvas(1, 3, size=(11.5, 3.3), sharex=True)
     for ax, key, times, look, colour, label in (
         (axes[0], "leak", 1, "o-", _LEAK, ""), (axes[1], "left", 100, "o-", _LEAK, ""),

@@ -16,8 +16,10 @@ from studies.nb03_skinning.partial_fit import LEGS, leak_percent
 
 
 def leaked_mm(body: BodyModel, pose: Motion) -> Tensor:
-    """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian. A joint
-    may move what it, or a joint below it, holds with a weight of ``skinning.SMALL``."""
+    """Computes how far each vertex moves per radian of the joints that should not move it: (V,), mm per radian.
+
+    A joint may move what it, or a joint below it, holds with a weight of ``skinning.SMALL``.
+    """
     below = body.skeleton.ancestors().to(body.weights)
     allowed = (body.weights >= skinning.SMALL).to(below) @ below > 0
     return 1000 * torch.where(allowed, 0, _levers(body, pose)).norm(dim=-1)

@@ -54,8 +54,10 @@ def parity(rows: Sequence[Row]) -> Figure:
 
 
 def continuation(samples: Motion, person: Motion, body: BodyModel) -> np.ndarray:
-    """Draws where samples (S, T) of a motion have got to after a third, two thirds and all of their time. Translucent:
-    the samples. Dark: the person. Grey: the pose that all of them left."""
+    """Draws where samples (S, T) of a motion have got to after a third, two thirds and all of their time.
+
+    Translucent: the samples. Dark: the person. Grey: the pose that all of them left.
+    """
     frames = [round((samples.frames - 1) * k / 3) for k in (1, 2, 3)]
     with Scene((1200, 400), panels=tuple(f"after {frame / samples.fps:.1f} s" for frame in frames)) as scene:
         for panel, frame in enumerate(frames):

@@ -58,8 +58,10 @@ def in_camera(cameras: Sequence[Camera], points: Tensor) -> Tensor:
 
 
 def errors(motion: Motion, cameras: Sequence[Camera], scene: Scene) -> dict[str, Tensor]:
-    """Computes errors (B,) of a fit in cm, in the axes of the camera. "root": on the true bones, the pelvis put on the
-    true one. "none": as it stands before the camera."""
+    """Computes errors (B,) of a fit in cm, in the axes of the camera.
+
+    "root": on the true bones, the pelvis put on the true one. "none": as it stands before the camera.
+    """
     there, made = in_camera(scene.cameras, scene.truth.positions), tuning.on_true_bones(motion, scene.truth)
     found = {"root": in_camera(cameras, made.positions), "none": in_camera(cameras, motion.positions)}
     return {align: CM * metrics.mpjpe(points, there, align=align) for align, points in found.items()}
@@ -68,8 +70,10 @@ def errors(motion: Motion, cameras: Sequence[Camera], scene: Scene) -> dict[str,
 def compared(
     shot: Filmed, priors: Priors, schedule: Schedule, chosen: tuning.Choice, generator: torch.Generator
 ) -> dict[str, dict[str, dict[str, Tensor]]]:
-    """Fits people with less and less known of the camera. Returns by "root" and "none" (:func:`errors`), by what is
-    known, and by method, numbers (P,)."""
+    """Fits people with less and less known of the camera.
+
+    Returns by "root" and "none" (:func:`errors`), by what is known, and by method, numbers (P,).
+    """
     found, seen = {"root": {}, "none": {}}, shot.scene.observation
     for name, given in knowledge(shot.scene.cameras, generator).items():
         two = tuning.stage_2(seen, priors, RGB_LIGHT, schedule, chosen, **given)

@@ -76,8 +76,10 @@ TONES = {SYNTHETIC: "ours", CMU: "real"}
 
 
 def forest(rows: Mapping[str, Sequence[tuple[str, str, tuple]]], xlabels: Mapping[str, str]) -> Figure:
-    """Draws differences with intervals: a panel per measure, a line per case, one colour per source. rows: measure ->
-    (case, source, (mean, low, high, ...))."""
+    """Draws differences with intervals: a panel per measure, a line per case, one colour per source.
+
+    rows: measure -> (case, source, (mean, low, high, ...)).
+    """
     panels: dict[str, dict[str, dict[str, tuple]]] = {xlabels[measure]: {} for measure in rows}
     for by, some in zip(panels.values(), rows.values(), strict=True):
         for case, source, found in some:

@@ -231,8 +231,10 @@ def smoothing(
     dance: Case, power: Mapping[Case, Mapping[str, Tensor]], stages: Mapping[int, Motion], truth: Motion,
     people: Sequence[str] | None,
 ) -> list[tuple[str, str, Tensor, Tensor]]:  # fmt: skip
-    """Returns what H08 asks of a dance: test, statistic, and numbers of stages 3 and 2 by person. power: case -> way ->
-    power over true power (B, bands); the second band holds the accents."""
+    """Returns what H08 asks of a dance: test, statistic, and numbers of stages 3 and 2 by person.
+
+    power: case -> way -> power over true power (B, bands); the second band holds the accents.
+    """
     band = [by_person(power[dance][f"stage {k}"][:, 1], people) for k in (3, 2)]
     more = [x - power[WALKS, dance[1]][f"stage {k}"][:, 1].mean() for k, x in zip((3, 2), band, strict=True)]
     calm = [by_person(measures.acceleration_ratio(stages[k], truth), people) for k in (3, 2)]

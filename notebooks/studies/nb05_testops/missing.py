@@ -98,8 +98,10 @@ def refits(one: Scene, priors: Priors, schedule: Schedule) -> Callable[..., Fitt
 
 
 def added(broken: Motion, whole: Motion, truth: Motion, frames: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """Computes what missing frames add to the world error of a fit, cm (B,), after them and before them. broken, whole:
-    the fits (B, T) without these frames, and with them. Before is NaN where nothing comes before."""
+    """Computes what missing frames add to the world error of a fit, cm (B,), after them and before them.
+
+    broken, whole: the fits (B, T) without these frames, and with them. Before is NaN where nothing comes before.
+    """
     early, late = later_error(broken, truth, frames)
     early0, late0 = later_error(whole, truth, frames)
     return late - late0, early - early0

@@ -112,8 +112,10 @@ def compared(
     test: str, tested: People, practice: People, priors: Priors, schedule: Schedule, generator: torch.Generator,
     **tried_out: object,
 ) -> tuple[dict[str, dict[str, Tensor]], list[dict[str, float]], tuning.Choice]:  # fmt: skip
-    """Fits people's joints by every method; numbers of each by measure, one (P,) a person. Also the grid that stage 2
-    was tuned on, and what was chosen. tried_out: goes to ``tuning.search``."""
+    """Fits people's joints by every method; numbers of each by measure, one (P,) a person.
+
+    Also the grid that stage 2 was tuned on, and what was chosen. tried_out: goes to ``tuning.search``.
+    """
     weights, rest = TESTS[test], mean_pose(priors.pose)
     shown = partial(joints.noisy, generator=generator) if test == "noise" else joints.low_hidden
     seen, tried = shown(tested.truth), shown(practice.truth)

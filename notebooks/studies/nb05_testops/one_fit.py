@@ -28,8 +28,10 @@ ROLES = {"stage 1": "observation", "stage 2": "stage2", "stage 3": "stage3"}
 
 
 def weights_of(smoothness: float = 1.0, prior: float = 1.0, contact: float = 1.0) -> Weights:
-    """Returns the weights of a fit to keypoints with some of them so many times as large. smoothness: of stage 2.
-    prior: of the motion prior and of the first state. contact: of both contact terms."""
+    """Returns the weights of a fit to keypoints with some of them so many times as large.
+
+    smoothness: of stage 2. prior: of the motion prior and of the first state. contact: of both contact terms.
+    """
     factor = {"joints3d_smooth": smoothness, "motion_prior": prior, "init_motion_prior": prior}
     factor |= {"contact_vel": contact, "contact_height": contact}
     usual = asdict(RGB_LIGHT)
@@ -49,8 +51,10 @@ def filmed(motion: Motion, seed: int) -> Scene:
 def fitted(
     scene: Scene, priors: Priors, schedule: Schedule | None, weights: Weights, solver: str = "rollout"
 ) -> tuple[Fitted, Watched]:
-    """Fits a scene of one clip and returns the fit with (stage, terms) of every evaluation of the energy. solver: of
-    stage 3; "shooting" is faster, and its evaluations are not watched."""
+    """Fits a scene of one clip and returns the fit with (stage, terms) of every evaluation of the energy.
+
+    solver: of stage 3; "shooting" is faster, and its evaluations are not watched.
+    """
     watched: Watched = []
     keep = lambda number, terms: watched.append((number, {n: float(x) for n, x in terms.items()}))  # noqa: E731
     how = {"cameras": scene.cameras, "floor": "camera", "schedule": schedule, "weights": weights, "solver": solver}

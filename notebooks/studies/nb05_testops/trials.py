@@ -105,8 +105,10 @@ def fit_rivals(
 
 
 def on_the_floor(motion: Motion) -> Motion:
-    """Bends the legs of a fit (B, T) so that no ankle is lower than 9 cm: two bones each, knees forward. What a floor
-    alone does for stage 2: the pelvis stays, the foot keeps its direction."""
+    """Bends the legs of a fit (B, T) so that no ankle is lower than 9 cm: two bones each, knees forward.
+
+    What a floor alone does for stage 2: the pelvis stays, the foot keeps its direction.
+    """
     sole, rot, (points, turns) = 0.09, motion.rot.clone(), motion.world
     for side in metrics.SIDES:
         hip, knee, ankle = motion.skeleton.indices([f"{side}_{part}" for part in ("hip", "knee", "ankle")])
@@ -129,8 +131,10 @@ def on_the_floor(motion: Motion) -> Motion:
 
 
 def later_error(fit: Motion, truth: Motion, gap: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """World error in cm (B,) before and after frames without detections; where nothing comes after, in them. Before is
-    NaN where nothing comes before."""
+    """World error in cm (B,) before and after frames without detections; where nothing comes after, in them.
+
+    Before is NaN where nothing comes before.
+    """
     error = CM * metrics.joint_errors(fit.positions, truth.positions, align="none").mean(-1)
     last = max(gap) + 1
     after = error[..., last:] if last < error.shape[-1] else error[..., min(gap) :]

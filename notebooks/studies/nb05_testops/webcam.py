@@ -43,8 +43,10 @@ def lean(motion: Motion) -> Tensor:
 
 
 def seen_motion(motion: Motion, cameras: Sequence[Camera], seen: Observation2D) -> dict[str, Tensor]:
-    """Computes how a fit (G, T) moves in the image, over how the detections do: "speed" and "acceleration" (G,). Only
-    points that were detected in ``SMOOTHED`` frames on end count, in those frames; the detections are smoothed."""
+    """Computes how a fit (G, T) moves in the image, over how the detections do: "speed" and "acceleration" (G,).
+
+    Only points that were detected in ``SMOOTHED`` frames on end count, in those frames; the detections are smoothed.
+    """
     ours, theirs = pixels_of(motion, list(cameras)), savitzky_golay(seen.keypoints.flatten(-2), SMOOTHED, 2)
     theirs, there = theirs.unflatten(-1, (-1, 2)), (seen.confidence > 0).double()
     whole = there.unfold(1, SMOOTHED, 1).amin(-1)  # (G, T - 8, K): the window around each frame

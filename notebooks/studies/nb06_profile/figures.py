@@ -48,8 +48,10 @@ def bars(seconds: Mapping[str, Mapping[str, float]]) -> Figure:
 
 
 def phases(minutes: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
-    """Draws minutes of each phase, stacked by part; one panel per program, all on one axis. minutes: program -> phase
-    -> part -> minutes. The sum of a program is in its title."""
+    """Draws minutes of each phase, stacked by part; one panel per program, all on one axis.
+
+    minutes: program -> phase -> part -> minutes. The sum of a program is in its title.
+    """
     figure, axes = canvas(1, len(minutes), size=(10.5, 3.2), sharex=True, sharey=True)
     longest = 0.0
     for ax, (program, table) in zip(axes, minutes.items(), strict=True):

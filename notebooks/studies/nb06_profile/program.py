@@ -209,8 +209,10 @@ def alone_table(found: Mapping[str, Tensor], official: Official) -> list[dict[st
 def drawn(
     official: Official, found: Mapping[str, tuple[float, float, float]], lean: Mapping[str, Tensor]
 ) -> dict[str, dict[str, tuple[float, float, float]]]:
-    """Computes what ``figures.shares`` draws: (value, low, high) of every share, by program. found: of the faithful
-    form on this machine."""
+    """Computes what ``figures.shares`` draws: (value, low, high) of every share, by program.
+
+    found: of the faithful form on this machine.
+    """
     theirs = {name: (x, x, x) for name, x in official.shares().items()}
     (last,) = CAUSE
     theirs[last] = (theirs[last][0], *official.range(theirs[last][0]))

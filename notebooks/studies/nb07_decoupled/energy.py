@@ -55,8 +55,10 @@ class Sequences(NamedTuple):
 
 
 def sequences(model: Cvae, states: Tensor, z: Tensor, steps: int = 1) -> Sequences:
-    """K transitions from every state at once, sorted into sequences of T frames, the first as in ``states``.
-    states (B, T, 339), world; z (B, T - 1, 48)."""
+    """K transitions from every state at once, sorted into sequences of T frames.
+
+    states (B, T, 339), world; z (B, T - 1, 48). The first frame of every sequence is that of ``states``.
+    """
     batch, frames = states.shape[:2]
     at = (torch.arange(frames - 1)[:, None] + torch.arange(steps)).clamp(max=frames - 2)
     found = rollout(model, states[:, :-1].flatten(0, 1), z[:, at].flatten(0, 1), with_prior=False)
@@ -78,8 +80,10 @@ class Form:
 
 
 def terms(problem: Problem, unknown: Unknown, form: Form) -> tuple[Terms, Sequences]:
-    """The weighted terms (B,) of E by name, "consistency" among them; and the decoded sequences. unknown: "x" (B, T,
-    273), "z" (B, T - 1, 48), "betas" (B, 8)."""
+    """The weighted terms (B,) of E by name, "consistency" among them; and the decoded sequences.
+
+    unknown: "x" (B, T, 273), "z" (B, T - 1, 48), "betas" (B, 8).
+    """
     if form.steps is None:
         found, rolled = whole(problem, unknown)
         return found, Sequences(rolled.states[:, None], rolled.rollout.contact_logits[:, None])

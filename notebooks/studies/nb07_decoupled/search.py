@@ -68,8 +68,10 @@ def search(
     problem: Problem, start: Unknown, plan: Plan, evaluations: int, *,
     watch: Callable[[Unknown], dict[str, Tensor]] | None = None, at: Sequence[int] = (),
 ) -> Found:  # fmt: skip
-    """Adam, clip by clip, with steps that shrink to nothing along half a cosine; or in turns of it. watch: called with
-    the unknowns after ``at`` evaluations; it is not timed. A clip that is not finite stays."""
+    """Adam, clip by clip, with steps that shrink to nothing along half a cosine; or in turns of it.
+
+    watch: called with the unknowns after ``at`` evaluations; it is not timed. A clip that is not finite stays.
+    """
     if plan.turns:
         return _in_turns(problem, start, plan, evaluations)
     now = {n: x.detach().clone() for n, x in start.items()}

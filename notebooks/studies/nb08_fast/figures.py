@@ -22,8 +22,10 @@ _FLOOR = 0.01
 
 
 def toy(spectra: Mapping[str, np.ndarray], paths: Mapping[str, np.ndarray], seen: np.ndarray) -> Figure:
-    """Draws the eigenvalues of the toy's Hessian in two sets of unknowns, and what one push does to the walk. spectra:
-    label -> eigenvalues (T,). paths: label -> places (T,) less those without the push. seen (T,): bool."""
+    """Draws the eigenvalues of the toy's Hessian in two sets of unknowns, and what one push does to the walk.
+
+    spectra: label -> eigenvalues (T,). paths: label -> places (T,) less those without the push. seen (T,): bool.
+    """
     fig, (left, right) = canvas(1, 2, size=(10.0, 3.2))
     for (label, values), (way, path) in zip(spectra.items(), paths.items(), strict=True):
         paint, steps = colour(ROLES[way]), range(1, len(seen) + 1)
@@ -80,7 +82,9 @@ def profiles(
     found: Mapping[str, Mapping[str, Tensor]], times: Sequence[float], sources: Mapping[str, Sequence[int]]
 ) -> Figure:
     """Draws by source (rows) and measure (columns) the median over clips at so many seconds, and the middle half.
-    found: measure -> contender -> (B, N). sources: source -> its clips."""
+
+    found: measure -> contender -> (B, N). sources: source -> its clips.
+    """
     labels = {"energy": "above the best (nats a frame)", "seen": "joints in view (cm)", "hidden": "hidden joints (cm)"}
     fig, axes = canvas(len(sources), len(found), size=(11.0, 2.8 * len(sources)), sharex=True, sharey="col")
     for ax, (source, measure) in zip(axes, ((s, m) for s in sources for m in found), strict=True):

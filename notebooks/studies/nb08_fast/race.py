@@ -57,7 +57,9 @@ def clips(
     priors: Priors, folder: Path | None, part: str, counts: Mapping[str, int], seed: int, frames: int, work: Schedule
 ) -> list[Clip]:
     """People of each source (``counts``), filmed by turns in plain view and behind a wall or desk, after stage 2.
-    Synthetic people are unknown to the corpus; those of the CMU library are of one part of its people."""
+
+    Synthetic people are unknown to the corpus; those of the CMU library are of one part of its people.
+    """
     found = []
     for source, count in counts.items():
         if source == SYNTHETIC:

@@ -29,7 +29,9 @@ def staged(
     level: float = 0.9, size: tuple[int, int] = (480, 420),
 ) -> Scene:  # fmt: skip
     """Puts a fit, some draws as ghosts and the regions of some hidden joints on a stage; beside it the truth, if known.
-    Ghosts are laid on the fit's pelvis, as the regions are."""
+
+    Ghosts are laid on the fit's pelvis, as the regions are.
+    """
     panels = ("truth", "fit, draws, regions")[0 if truth is not None else 1 :]
     scene = Scene((size[0] * len(panels), size[1]), panels=panels).floor()
     last = len(panels) - 1
@@ -92,7 +94,9 @@ def film(draws: Draws, body: BodyModel, path: Path, **how) -> movie.Film:
 
 def rank_bars(found: Mapping[str, Tensor], *, roles: Mapping[str, str]) -> Figure:
     """Draws ranks (C, n) of the truth among the draws, a panel each: flat where the sampler is right, a U: too sure.
-    The band holds 95 % of the bars of a right one, were only the clips independent and a clip's ranks the same."""
+
+    The band holds 95 % of the bars of a right one, were only the clips independent and a clip's ranks the same.
+    """
     bins, (fig, axes) = 8, canvas(1, len(found), size=(3.0 * len(found) + 0.4, 2.7), sharey=True)
     paint = paints(list(found), roles)
     for ax, (label, ranks) in zip(axes, found.items(), strict=True):

@@ -92,8 +92,10 @@ def about_pelvis(motion: Motion) -> Tensor:
 def with_chapter_4(
     clips: Sequence[Clip], fits: Sequence[tuple[Fitted, int]], generator: torch.Generator, count: int = 16
 ) -> list[Clip]:
-    """Draws the hidden legs of fits anew by our network of chapter 4, too (``completer_draws``, ten steps). It is told
-    the fit, but for the rotations of a leg while a joint of it is hidden."""
+    """Draws the hidden legs of fits anew by our network of chapter 4, too (``completer_draws``, ten steps).
+
+    It is told the fit, but for the rotations of a leg while a joint of it is hidden.
+    """
     found, network = [], completer.load("completer_draws")
     for clip, (fit_, k) in zip(clips, fits, strict=True):
         draws = posterior.sample(fit_, 1, generator=generator, clip=k)

@@ -36,8 +36,10 @@ class Cast(NamedTuple):
 
 
 def assemble(folder: Path | None, each: int, most: int | None) -> Cast:
-    """Reads the parts; without a folder synthetic motion, whose clips stand for people. each: windows of a person.
-    most: recordings of a part, evenly over it; None: all."""
+    """Reads the parts; without a folder synthetic motion, whose clips stand for people.
+
+    each: windows of a person. most: recordings of a part, evenly over it; None: all.
+    """
     found = corpus.assemble(folder, splits.real_sources(folder), progress=False) if folder else None
     parts = {part: found.part(part) if found else _made(part) for part in ("train", "val", "test")}
     takes = {part: splits.subsample(some, most) for part, some in parts.items()}

@@ -67,7 +67,9 @@ def off_the_line(made: Motion, truth: Motion, known: Tensor) -> Tensor:
 
 def stance_speed(motion: Motion) -> Tensor:
     """m/s (B,): how fast the lower foot moves along the pelvis's heading relative to the pelvis, mean over the window.
-    Who walks forwards pushes it back: negative. It reads a fixed root as it does a free one."""
+
+    Who walks forwards pushes it back: negative. It reads a fixed root as it does a free one.
+    """
     p = motion.positions
     feet = p[..., STANDARD.indices(("left_foot", "right_foot")), :]
     left = p[..., STANDARD.index("left_hip"), :2] - p[..., STANDARD.index("right_hip"), :2]

@@ -88,7 +88,9 @@ def wiener(rivals: Rivals, motion: Motion, rough: Motion, noise: Noise) -> Motio
 
 def one_euro(x: Tensor, fps: float, min_cutoff: float, beta: float) -> Tensor:
     """Smooths x (..., T, D) by the one-euro filter (Casiez et al. 2012): a causal low-pass that opens with speed.
-    min_cutoff: Hz, at rest. beta: Hz per (unit of x / s)."""
+
+    min_cutoff: Hz, at rest. beta: Hz per (unit of x / s).
+    """
     frames, alpha = x.unbind(-2), lambda cutoff: 1 / (1 + fps / (2 * torch.pi * cutoff))
     speed, out = torch.zeros_like(frames[0]), [frames[0]]
     for before, now in pairwise(frames):
@@ -98,8 +100,10 @@ def one_euro(x: Tensor, fps: float, min_cutoff: float, beta: float) -> Tensor:
 
 
 def filtered(motion: Motion, name: str, **settings: float) -> Motion:
-    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres. The Kalman
-    smoother's strength of acceleration is per unit of noise."""
+    """A motion through one of ``FILTERS``: rotations in radians about their mean, the root in metres.
+
+    The Kalman smoother's strength of acceleration is per unit of noise.
+    """
     apply, _ = FILTERS[name]
     return baselines.smooth(motion, lambda x: apply(x, motion.fps, **settings))
 

@@ -17,8 +17,10 @@ _TINTS = ("ours", "axis-angle", "6d", "stage2")
 
 
 def two_layouts(here: Mapping[str, Tensor], there: Mapping[str, Tensor], fps: float) -> Figure:
-    """The pelvis's numbers (T, 9) over time, by layout, of a clip (lines) and of the same clip moved (dashes). Left of
-    each pair its place, right the six numbers of its rotation."""
+    """The pelvis's numbers (T, 9) over time, by layout, of a clip (lines) and of the same clip moved (dashes).
+
+    Left of each pair its place, right the six numbers of its rotation.
+    """
     fig, axes = canvas(1, 2 * len(here), size=(12.0, 2.9))
     for k, (name, rows) in enumerate(here.items()):
         time = np.arange(len(rows)) / fps
@@ -40,8 +42,10 @@ def by_arm(
     lines: Mapping[str, Mapping[str, float]],
     longer: Mapping[str, Mapping[str, Tensor]],
 ) -> Figure:
-    """A panel a measure, a column an arm, a dot a seed, dots of one seed joined. lines: what stands beside, by name.
-    longer: the same of arms that were trained for longer, as diamonds."""
+    """A panel a measure, a column an arm, a dot a seed, dots of one seed joined.
+
+    lines: what stands beside, by name. longer: the same of arms that were trained for longer, as diamonds.
+    """
     fig, axes = canvas(1, len(panels), size=(5.0 * len(panels), 3.4))
     for ax, (measure, arms) in zip(axes, panels.items(), strict=True):
         values = np.stack([x.numpy() for x in arms.values()], 1)
