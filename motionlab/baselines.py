@@ -31,7 +31,8 @@ def _mask(known: Tensor, motion: Motion) -> Tensor:
     """The mask as bool (..., T, J): of joints where it has an axis more than frames have."""
     whole = known.bool() if known.ndim == motion.root.ndim else known.bool()[..., None]
     shape = motion.rot.shape[:-2]
-    if whole.shape[-2:-1] != shape[-2:-1] or whole.shape[-1] not in (1, shape[-1]) or whole.ndim > len(shape):
+    fits = all(k in (1, n) for k, n in zip(whole.shape[::-1], shape[::-1], strict=False))
+    if not fits or whole.shape[-2:-1] != shape[-2:-1] or whole.ndim > len(shape):
         raise ShapeError(f"known: expected (..., {motion.frames}) or {tuple(shape)}, got {tuple(known.shape)}")
     if not whole.any(-2).all():
         raise ShapeError("known: some joint is known at no frame, so there is nothing to fill it from")

@@ -112,12 +112,6 @@ def jitter(positions: Tensor, fps: float) -> Tensor:
     return masked_mean(torch.linalg.vector_norm(positions.diff(n=3, dim=-3), dim=-1) * fps**3, None, 2)
 
 
-def power_spectrum(velocities: Tensor) -> Tensor:
-    """Computes the power (..., F) of velocities (..., T, J, 3) by frequency under a Hann window, summed over joints."""
-    window = torch.hann_window(velocities.shape[-3], False, dtype=velocities.dtype, device=velocities.device)
-    return torch.fft.rfft(velocities * window[:, None, None], dim=-3).abs().square().sum((-1, -2))
-
-
 # -------------------------------------------------------------------------------------------------------- gait and feet
 def legs(motion: Motion) -> list[int]:
     """Returns the indices of knees, ankles and feet."""

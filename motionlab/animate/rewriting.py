@@ -142,7 +142,7 @@ def _bvh_text(text: str, table: np.ndarray, mine: np.ndarray, fps: float | None)
         for old, row, its in zip(words, table, mine, strict=True)
     ]
     for n, line, its in zip(rows, found, mine, strict=False):
-        lines[n] = line + end if its.any() else lines[n]
+        lines[n] = line + lines[n].removeprefix(lines[n].rstrip("\r\n")) if its.any() else lines[n]
     if float(lines[heading[0]].partition(":")[2]) != len(table):
         lines[heading[0]] = f"Frames: {len(table)}{end}"
     if fps is not None:
@@ -172,6 +172,9 @@ def _npz(at: Location, loaded: Motion, made: Motion) -> bytes | None:
     for j, (key, column) in enumerate(places):
         table[key][new_rot[:, j], column : column + 3] = turns[new_rot[:, j], j]
     table[moving][new_root] = root.numpy()[new_root]
+    if "contacts" in arrays and made.contacts is not None:
+        rows = new_rot.any(1) | new_root
+        arrays["contacts"][rows] = made.contacts.numpy()[rows]
     archive = io.BytesIO()
     np.savez_compressed(archive, **arrays)
     return archive.getvalue()

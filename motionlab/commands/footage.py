@@ -41,7 +41,12 @@ def _list_people(options: argparse.Namespace) -> int:
 
 
 def _fit_one(options: argparse.Namespace) -> int:
-    record = fit.run_clip(**_given(options), progress=is_watched() or "lines")
+    try:
+        record = fit.run_clip(**_given(options), progress=is_watched() or "lines")
+    except KeyboardInterrupt:
+        if kept := len([*(options.out / "windows").glob("*.safetensors")]):
+            print(f"\n{kept} windows are kept in {options.out}; the same command goes on from there")
+        raise
     print(*scene_report.lines(record), sep="\n")
     print(f"{options.out}: {', '.join([*record['files'], fit.RESULT])}")
     return 0

@@ -272,9 +272,10 @@ def go_on(course: Course, out: Path, *, more: bool = True, every: int = 2500) ->
 
     while True:
         yield run.run(keep=kept, every=max(every // 10, 1), judge=judge, judge_every=every, progress=True)
+        first, steps = (there, behind) if more else (run.shipped, run.earlier + run.best["step"])
         before, again = run, replace(run.recipe, lr=run.recipe.lr / 2, seed=run.recipe.seed + 1)
-        run = course.begun(again, there)
-        run.curve, run.earlier = before.curve, behind
+        run = course.begun(again, first)
+        run.curve, run.earlier = before.curve, steps
 
 
 def _kept(name: str, out: Path) -> Path:

@@ -92,7 +92,7 @@ def make_small(folder: Path | str | None, out: Path, *, seed: int = 0, steps: in
         "command": f"{_COMMAND} --steps {steps} --seed {seed}", "steps": steps,
         "deviation": {"radians": POSE_TURN, "metres": POSE_PLACE},
         "held out": {"validation people": reconstruction(model, _poses(held, 3))},
-        "history": [[row["step"], round(row["miss"], 3), round(row["kl"], 3)] for row in run.curve],
+        "history": [[row["step"], round(row["miss"], 3), round(row["kl"], 3)] for row in run.curve if "miss" in row],
     }  # fmt: skip
     tensors = {n: x for n, x in model.state_dict().items() if not n.endswith("num_batches_tracked")}
     checkpoint.save(out / "pose_prior_real", tensors, recipe)

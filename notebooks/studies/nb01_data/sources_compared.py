@@ -17,6 +17,7 @@ from motionlab.corpus import Corpus
 from motionlab.motion import Motion, velocity, windows
 from motionlab.skeleton import FEET
 from studies.nb01_data.real_motion import kind_of
+from studies.shared.spectra import power_spectrum
 
 #: What :func:`describe` measures, with its unit.
 DESCRIPTION_UNITS = {
@@ -89,7 +90,7 @@ def describe(motion: Motion) -> dict[str, Tensor]:
 
 def _power_above(moving: Tensor, fps: float, hertz: float) -> Tensor:
     """Share (...) of the power of signals (..., T, J, 3) above a frequency."""
-    power = metrics.power_spectrum(moving)
+    power = power_spectrum(moving)
     quick = torch.fft.rfftfreq(moving.shape[-3], 1 / fps) > hertz
     return power[..., quick].sum(-1) / power.sum(-1).clamp_min(torch.finfo(power.dtype).tiny)
 

@@ -15,6 +15,7 @@ from motionlab.humor import state
 from motionlab.humor.priors import Cvae
 from motionlab.humor.rollout import infer, rollout
 from motionlab.motion import Motion
+from studies.shared.spectra import power_spectrum
 
 CM = 100.0
 
@@ -67,7 +68,7 @@ def band_power(fit: Motion, truth: Motion, bands: Sequence[float]) -> Tensor:
     """Power of the joints' velocities about the pelvis over the true one, per band of frequency: (B, bands)."""
     frequency = torch.fft.rfftfreq(truth.frames - 1, 1 / truth.fps)
     inside = torch.stack([(frequency >= low) & (frequency < high) for low, high in pairwise(bands)]).to(truth.root)
-    mine, true = (metrics.power_spectrum(_about_pelvis(x).diff(dim=-3)) @ inside.mT for x in (fit, truth))
+    mine, true = (power_spectrum(_about_pelvis(x).diff(dim=-3)) @ inside.mT for x in (fit, truth))
     return mine / true
 
 
