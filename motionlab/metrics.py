@@ -224,23 +224,6 @@ def _distances(x: Tensor, y: Tensor) -> Tensor:
     return torch.cdist(x, y, compute_mode="donot_use_mm_for_euclid_dist")
 
 
-def precision_recall(generated: Tensor, real: Tensor, k: int = 3) -> tuple[float, float]:
-    """Computes precision and recall: the share of the generated and of the real samples inside the other set's balls,
-    to the k-th nearest neighbour.
-
-    Compare numbers only at equal sizes: a larger set covers more. MDM takes the first min(N, M) of each.
-
-    Source: Kynkaanniemi et al. 2019, with k = 3 of MDM.
-    Raises:
-        ShapeError: not more than k samples a side, or different D. DataError: a feature is not finite.
-    """
-    x, y = _checked(generated, real)
-    between = _distances(x, y)
-    on_real = (between <= _neighbour_radii(y, k)).any(1)
-    on_generated = (between <= _neighbour_radii(x, k)[:, None]).any(0)
-    return on_real.double().mean().item(), on_generated.double().mean().item()
-
-
 def density_coverage(generated: Tensor, real: Tensor, k: int = 5) -> tuple[float, float]:
     """Computes density and coverage: how many generated samples real neighbourhoods hold, and how many hold any.
 

@@ -14,7 +14,6 @@ import pytest
 import torch
 from walked import CAMERA, few_steps, short_windows, table, walk, write_json, write_npz
 
-from motionlab import files
 from motionlab.errors import DataError
 from motionlab.footage import fit, scene_fit, scene_report
 from motionlab.humor import testops
@@ -163,7 +162,7 @@ def test_what_cannot_be_written_is_said_in_a_sentence(tmp_path, monkeypatch):
     assert not list(out.glob("*.*"))
     monkeypatch.setattr(fit, "fit_people", no_fit)
     refused = Mock(side_effect=OSError(errno.EROFS, "Read-only file system"))
-    monkeypatch.setattr(files.tempfile, "TemporaryFile", refused)
+    monkeypatch.setattr(clip.tempfile, "TemporaryFile", refused)
     with pytest.raises(DataError, match="cannot be written: Read-only file system") as caught:
         fit.run_clip(file, out, quick=True)
     assert "--out" in caught.value.remedy

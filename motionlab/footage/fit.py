@@ -49,15 +49,21 @@ def is_finished(out: str | Path, how: Mapping[str, object] | None = None) -> boo
     old = _earlier(Path(out))
     if how is None or old.get("finished") is not True:
         return old.get("finished") is True
-    files = [Path(how[name]) for name in _READ if how.get(name) is not None]
-    times = [each.stat().st_mtime for path in files for each in (path, *path.glob("*")) if each.exists()]
-    return old["asked"] == _asked(how) and max(times, default=0.0) <= (Path(out) / RESULT).stat().st_mtime
+    newest = max((each.stat().st_mtime for each in _files(how)), default=0.0)
+    return old["asked"] == _asked(how) and newest <= (Path(out) / RESULT).stat().st_mtime
 
 
 def _asked(given: Mapping[str, object]) -> dict[str, str]:
-    """What decides about a fit, of the arguments of ``run_clip``, those that are not given by their defaults."""
+    """What decides about a fit: arguments of ``run_clip``, by default what they are then, and its files' bytes."""
     known = signature(run_clip).parameters.items()
-    return {name: str(given.get(name, one.default)) for name, one in known if name not in ("out", "progress")}
+    told = {name: str(given.get(name, one.default)) for name, one in known if name not in ("out", "progress")}
+    return told | {"bytes": str(sum(each.stat().st_size for each in _files(given)))}
+
+
+def _files(given: Mapping[str, object]) -> list[Path]:
+    """The files that a fit is of, those in its folders, too."""
+    paths = [Path(given[name]) for name in _READ if given.get(name) is not None]
+    return [each for path in paths for each in (path, *path.glob("*")) if each.is_file()]
 
 
 def _earlier(out: Path) -> dict[str, object]:

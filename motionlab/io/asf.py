@@ -110,7 +110,7 @@ def _skeleton(at: Location, bones: dict[str, _Bone], unit: float) -> Skeleton:
         names.append(name)
         offsets.append([unit * above.length * x for x in above.direction])
         if name in bones:
-            children = bones[name].children or [f"{name}_end"] * (bones[name].length > 0)
+            children = bones[name].children or [f"{name}_end"] * (bones[name].length > 0 and f"{name}_end" not in bones)
             stack += [(child, name) for child in reversed(children)]
     if lost := [name for name in bones if name not in names]:
         raise at.error(f"{', '.join(lost)} hang on nothing", place="section :hierarchy")

@@ -174,7 +174,7 @@ def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
     """The joints; of the lines, MOTION is the last that is read."""
     joints: list[_Joint] = []
     here = -1  # the joint whose braces are open
-    if (line := next(lines, "")).upper() != "HIERARCHY":
+    if (line := next(lines, "")).upper().split()[:1] != ["HIERARCHY"]:
         raise at.error(f"expected HIERARCHY, got {line[:40]!r}")
     for line in lines:
         head, *words = [word for word in line.split() if word != "{"] or ["{"]

@@ -213,7 +213,8 @@ def _tables(at: Location) -> dict[str, Table]:
     elif re.search(rb"^\d+\s+[A-Z_]+\s+\d+\s+\d+\s+[-\d.]", head, re.MULTILINE):
         found = _colmap(at)
     elif suffix == ".toml" or re.match(rb"(#.*\n|\s)*\[[\w\"'.-]+\]\s", head):
-        found = _of_json(tomllib.loads(read_text(at)))
+        tables = tomllib.loads(read_text(at)).items()
+        found = _of_json({str(one.get("name") or key) if isinstance(one, dict) else key: one for key, one in tables})
     else:
         raise at.error("no calibration of a known kind")
     at.place = ""
@@ -261,10 +262,10 @@ def _of_json(document: object) -> dict[str, Table]:
     """One camera, a list of some, or some by name; as they stand where nothing in them is known."""
     inner = document.get("cameras", document) if isinstance(document, dict) else document
     if isinstance(inner, list):
-        inner = {str(n): one for n, one in enumerate(inner)}
+        inner = {str(one.get("name", n)) if isinstance(one, dict) else str(n): one for n, one in enumerate(inner)}
     if found := _named(inner):
         return found
-    found = {str(one.get("name") or name): known for name, one in inner.items() if (known := _known(one))}
+    found = {str(name): known for name, one in inner.items() if (known := _known(one))}
     return found or {"camera": {word: inner[word] for word in WORDS if word in inner}}
 
 
@@ -277,7 +278,8 @@ def _xml(at: Location) -> ElementTree.Element:
 
 def _opencv_xml(at: Location) -> dict[str, Table]:
     nodes = ((node, {part.tag: (part.text or "").split() for part in node}) for node in _xml(at))
-    return _named({node.tag: parts or _value((node.text or "").strip()) for node, parts in nodes})
+    told = ((node, parts) for node, parts in nodes if not parts or {"rows", "cols", "data"} <= parts.keys())
+    return _named({node.tag: parts or _value((node.text or "").strip()) for node, parts in told})
 
 
 def _yaml(text: str) -> dict[str, object]:

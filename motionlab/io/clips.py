@@ -107,7 +107,7 @@ def _frame_rate(at: Location, durations: np.ndarray) -> tuple[float, np.ndarray]
     inner = durations[:-1] if len(durations) > 1 else durations
     typical = float(np.sort(inner)[(len(inner) - 1) // 2])  # the lower median is a duration that occurs
     odd = int(inner.argmin() if inner.min() <= 0 else inner.argmax())
-    if not 0 < inner[odd] <= 100 * typical:
+    if not 0 < inner[odd] or inner.sum() > 100 * typical * len(durations):
         message = f"lasts {inner[odd]} s, the typical frame {typical} s; only the last frame may last 0"
         raise at.error(message, place=f"frame {odd}")
     times = np.concatenate(([0.0], np.cumsum(inner)))[: len(durations)] / typical

@@ -132,6 +132,8 @@ def _array(at: Location, content: dict, blob: bytes, index: int, width: int, pla
     size = np.dtype(kind).itemsize
     count, stride = accessor["count"], view.get("byteStride", size * width)
     start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    if stride < size * width:
+        raise at.error(f"values lie {stride} bytes apart, expected {size * width} or more", place=place)
     rows = checked_array(at, np.ndarray((count, width), kind, blob, start, (stride, size)), f"T {width}", place)
     return np.maximum(rows / largest, -1) if normal else rows
 

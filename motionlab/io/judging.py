@@ -38,7 +38,7 @@ Unit, Axes, Fps = str | float | None, str | None, float | None
 Figure = TypeVar("Figure")  # a Motion, or points.Positions
 #: Shares of the longest chain: below SAME a joint sits at its OFFSET, above RIGID its bone changes length.
 SAME, RIGID = 0.002, 0.02
-_TRUNK = 0.75  # the figure hangs on a joint that so much of all hangs on
+_TRUNK = 0.8  # the figure hangs on a joint that so much of all hangs on
 
 
 def axes_to_matrix(axes: str) -> Tensor:
@@ -245,7 +245,14 @@ def rerooted(
     strays = np.abs(place - offset).max((0, 2)) > SAME * reach
     paths = ancestors(parents)
     size = Counter(joint for path in paths for joint in path)
-    top = [0, *(joint for joint in range(len(parents)) if strays[joint] and size[joint] >= _TRUNK * size[0])][-1]
+    top = [
+        0,
+        *(
+            joint
+            for joint in range(len(parents))
+            if strays[joint] and size[joint] >= _TRUNK * (size[0] - len(paths[joint]))
+        ),
+    ][-1]
     above = paths[top]
     root, first = torch.from_numpy(place[:, top]), rot[:, top]
     for joint in reversed(above):
@@ -262,7 +269,7 @@ def rerooted(
         moves = np.abs(place[:, j] - mean[j]).max()
         if moves > SAME * reach:
             what = f"{names[j]} moves {moves / reach:.1%} of the figure against its parent"
-            if translations == "strict" and moves > RIGID * reach:
+            if translations != "mean" and moves > RIGID * reach:
                 remedy = 'translations="mean", or --translations mean, keeps its mean place'
                 raise at.error(f"{what}: bones of changing length", place=lines[j], remedy=remedy)
             at.notes.append(f"{what}: its mean place is kept")

@@ -118,7 +118,7 @@ _BUILT = {
 #: for, and is no array.
 _RECORDS = re.compile(
     r"scipy\.sparse\.(?:_?cs[cr]\.)?(cs[cr])_(?:matrix|array)|(chumpy)(?:\.\w+)+|(builtins\.complex|collections\.Counter"
-    r"|torch\.(?:_utils\._rebuild_\w+|(?:storage\.)?\w+Storage|serialization\._get_layout|device|bool|[a-z]+\d+\w*))"
+    r"|scipy\.sparse\.(?:_?coo\.)?coo_(?:matrix|array)|torch\.(?:_utils\._rebuild_\w+|(?:storage\.)?\w+Storage|serialization\._get_layout|device|bool|[a-z]+\d+\w*))"
 )
 
 

@@ -194,7 +194,7 @@ def _c3d_value(data: bytes, start: int, numbers: Callable) -> np.ndarray:
         return values
     letters, *rows = shape or (1,)  # the first axis runs along the word
     words = values.tobytes()
-    cells = (words[i * letters : (i + 1) * letters] for i in range(math.prod(rows)))
+    cells = (words[i * letters : (i + 1) * letters] for i in range(math.prod(rows) if letters else 0))
     return np.array([cell.decode("latin-1").strip(" \0") for cell in cells], dtype=str)
 
 
@@ -226,6 +226,8 @@ def _c3d_frame_count(at: Location, header: np.ndarray, parameters: dict, held: i
     if all(end is not None and end.size == 2 for end in ends):
         first, last = (int(end.astype(np.int64) % 65536 @ [1, 65536]) for end in ends)
         return last - first + 1
+    if (long := parameters.get("POINT:LONG_FRAMES")) is not None and long.size and long[0] >= 1:
+        return int(long[0])
     count = int(header[4]) - int(header[3]) + 1
     more = held if int(header[4]) == 65535 else count + max(held - count, 0) // 65536 * 65536
     if more > count:
