@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import re
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -162,7 +163,7 @@ def test_what_cannot_be_written_is_said_in_a_sentence(tmp_path, monkeypatch):
     assert not list(out.glob("*.*"))
     monkeypatch.setattr(fit, "fit_people", no_fit)
     refused = Mock(side_effect=OSError(errno.EROFS, "Read-only file system"))
-    monkeypatch.setattr(clip.tempfile, "TemporaryFile", refused)
+    monkeypatch.setattr(tempfile, "TemporaryFile", refused)
     with pytest.raises(DataError, match="cannot be written: Read-only file system") as caught:
         fit.run_clip(file, out, quick=True)
     assert "--out" in caught.value.remedy

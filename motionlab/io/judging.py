@@ -245,14 +245,8 @@ def rerooted(
     strays = np.abs(place - offset).max((0, 2)) > SAME * reach
     paths = ancestors(parents)
     size = Counter(joint for path in paths for joint in path)
-    top = [
-        0,
-        *(
-            joint
-            for joint in range(len(parents))
-            if strays[joint] and size[joint] >= _TRUNK * (size[0] - len(paths[joint]))
-        ),
-    ][-1]
+    share = [(size[j] + 1) / (size[0] + 1 - len(paths[j])) for j in range(1, len(parents))]  # of all not above a joint
+    top = [0, *(j for j, much in enumerate(share, start=1) if strays[j] and much >= _TRUNK)][-1]
     above = paths[top]
     root, first = torch.from_numpy(place[:, top]), rot[:, top]
     for joint in reversed(above):
