@@ -76,7 +76,7 @@ def test_official_file(tmp_path):
     path = tmp_path / "prior_gmm.npz"
     np.savez(path, **{name: value.numpy() for name, value in gmm.tensors().items()})
     x = torch.zeros(1, 138, dtype=torch.float64)
-    assert torch.allclose(pretrained._official_mixture(path).log_prob(x), gmm.log_prob(x))
+    assert torch.allclose(pretrained._official_mixture(path, (0.0, 0.0, 0.0)).log_prob(x), gmm.log_prob(x))
 
 
 def spoilt(name: str, change) -> dict[str, np.ndarray]:
@@ -100,16 +100,16 @@ def test_files_that_hold_no_mixture_are_refused(tmp_path, arrays):
     path = tmp_path / "prior_gmm.npz"
     np.savez(path, **arrays)
     with pytest.raises(DataError, match="prior_gmm") as caught:
-        pretrained._official_mixture(path)
+        pretrained._official_mixture(path, (0.0, 0.0, 0.0))
     assert caught.value.remedy
 
 
 def test_no_file_and_no_archive(tmp_path):
     with pytest.raises(DataError, match="none"):
-        pretrained._official_mixture(tmp_path / "none.npz")
+        pretrained._official_mixture(tmp_path / "none.npz", (0.0, 0.0, 0.0))
     (tmp_path / "text.npz").write_text("hello")
     with pytest.raises(DataError, match="archive"):
-        pretrained._official_mixture(tmp_path / "text.npz")
+        pretrained._official_mixture(tmp_path / "text.npz", (0.0, 0.0, 0.0))
 
 
 def test_too_few_samples_and_wrong_width(generator):
