@@ -1,4 +1,4 @@
-"""The three priors of a fit as models: over transitions, over the pose of one frame, over the first state.
+"""The three priors of a fit: over transitions, the pose of one frame, and first states (the initial mixture).
 
 The transition prior is HuMoR's conditional VAE: posterior, conditional prior and decoder, with the official names and
 shapes. The pose prior is a variational autoencoder from 21 joint rotations, relative to the parent, to 32 numbers and
