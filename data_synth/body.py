@@ -57,11 +57,14 @@ def capsule_body(spacing: float = 0.02) -> BodyModel:
 
     rest = STANDARD.rest_positions()
     owners, starts, ends, radii = _flesh(rest)
-    half = ((rest.abs().amax(0) + 0.23) / spacing).ceil()
-    sides, corner = (2 * half.int() + 1).tolist(), (-spacing * half).tolist()
-    grid = pv.ImageData(dimensions=sides, spacing=(spacing,) * 3, origin=corner)
+    thick = radii.amax(1, keepdim=True) + _BLEND
+    low = ((torch.minimum(starts, ends) - thick).amin(0) / spacing).floor().int()
+    high = ((torch.maximum(starts, ends) + thick).amax(0) / spacing).ceil().int()
+    corner = (spacing * low).tolist()
+    grid = pv.ImageData(dimensions=(high - low + 1).tolist(), spacing=(spacing,) * 3, origin=corner)
     points = torch.tensor(grid.points).float()
-    field = -_BLEND * torch.logsumexp(-_distance(points, starts, ends, radii) / _BLEND, dim=1)
+    near = (_distance(some, starts, ends, radii) for some in points.split(8192))  # at once is slower: beyond the cache
+    field = torch.cat([-_BLEND * torch.logsumexp(-some / _BLEND, dim=1) for some in near])
     floor = rest[:, 1].min() - STANDARD.sole
     field = torch.maximum(field, floor - points[:, 1])
     surface = grid.contour([0.0], scalars=field.numpy(), compute_normals=False, compute_scalars=False)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from scipy.linalg import solve_banded
 from torch import Tensor
 
 from data_synth.body import tree_distance
@@ -177,9 +178,9 @@ def _self_hidden(motion: Motion, body: BodyModel, points: Tensor, camera: Camera
 
 def _steady_noise(shape: Sequence[int], correlation: float, generator: torch.Generator) -> Tensor:
     """Unit Gaussian noise (T, ...) with the given correlation between neighbouring frames."""
-    from scipy.signal import lfilter  # takes most of a second to load
-
     drawn = torch.randn(shape, generator=generator)
     fresh = (1 - correlation**2) ** 0.5
     drawn[0] /= fresh  # the first frame starts in the steady state
-    return torch.from_numpy(lfilter([fresh], [1.0, -correlation], drawn.numpy(), axis=0)).to(drawn)
+    recurrence = torch.tensor([[1.0], [-correlation]]).repeat(1, len(drawn))  # each frame less the share of the last
+    whole = solve_banded((1, 0), recurrence.numpy(), fresh * drawn.flatten(1).numpy())
+    return torch.from_numpy(whole).to(drawn).reshape(drawn.shape)
