@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from motionlab.bench import LOWER, legs
+from motionlab.footage.scene_fit import QUICK_WORK
 from motionlab.humor.energies import KEYPOINTS
 from motionlab.humor.evidence import Observation3D
 from motionlab.humor.priors import Priors
@@ -52,7 +53,7 @@ def met(
     count, seen = len(truth.root), torch.ones(truth.positions.shape[:-1], dtype=torch.bool)
     seen[..., STANDARD.indices(LOWER)] = False
     places = Observation3D(torch.where(seen[..., None], truth.positions, 0.0), seen, truth.fps, "legs hidden")
-    how = {"schedule": Schedule.lean() if whole else Schedule.quick(), "weights": KEYPOINTS, "solver": "shooting"}
+    how = {"schedule": Schedule.lean() if whole else QUICK_WORK, "weights": KEYPOINTS, "solver": "shooting"}
     fitted = fit(places, priors, **how)
     took = {STAGE_3: sum(report.seconds for report in fitted.results.get(3, ())) / count}
     two = fitted.stages[2]
