@@ -61,8 +61,7 @@ def _spans(mask: Tensor, fps: float) -> list[list[float]]:
 
 def lines(record: Record) -> list[str]:
     """Returns what a terminal shows of a record of ``fit.run_clip``."""
-    said = [f"note: {note}" for note in record["notes"]]
-    said += ["stopped: the best so far"] * record["stopped"]
+    said = [f"note: {note}" for note in record["notes"]] + ["stopped: the best so far"] * record["stopped"]
     said.append(f"camera {record['camera']['source']}; {_moving(record)}")
     for row in record["people"]:
         facts = "; ".join(f"{key} {text}" for key, text in _facts(row).items())
@@ -78,8 +77,9 @@ def lines(record: Record) -> list[str]:
 def _doubt(row: Record) -> str:
     """Says whether a person's fit is to be doubted, and why."""
     latent_chi2, rms, bounds = row["latent_chi2"], row["pixels"]["rms"], row["bounds"]
-    prior = "no motion prior was used" if latent_chi2 is None else f"surprise of the prior {latent_chi2:.2f}"
-    text = f"{prior} (up to {bounds['latent_chi2']:g} is usual), missed by {rms:.0f} px rms (up to {bounds['rms']:.0f})"
+    usual = f"surprise of the prior {latent_chi2 or 0:.2f} (up to {bounds['latent_chi2']:g} is usual)"
+    prior = "no motion prior was used" if latent_chi2 is None else usual
+    text = f"{prior}, missed by {rms:.0f} px rms (up to {bounds['rms']:.0f})"
     text += f", seems {row['seems_m']:.2f} m tall" if "seems_m" in row else ""
     return f"doubtful: {text}" if row["doubtful"] else f"no doubts: {text}"
 
