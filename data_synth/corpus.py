@@ -10,7 +10,6 @@ import json
 import math
 import os
 from dataclasses import asdict, dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -163,18 +162,12 @@ def _arc_stays(part: Score, way: float, turn: float, half: float) -> bool:
 
 def cache_path(recipe: Recipe) -> Path:
     """Where the sequences of a recipe are cached; both versions share them. Changes with the code that makes them."""
-    folder = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab"
-    what = asdict(recipe) | {"version": "", "heldout": (), "code": _code()}
+    folder, here = os.environ.get("MOTIONLAB_CACHE") or Path.home() / ".cache" / "motionlab", Path(__file__).parent
+    files = [*(here / f"{name}.py" for name in _SOURCES), *sorted((here / "actions").glob("*.py"))]
+    code = [source_hash(path.read_text(encoding="utf-8")) for path in files]
+    what = asdict(recipe) | {"version": "", "heldout": (), "code": code}
     digest = hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()[:16]
     return Path(folder) / f"corpus-{digest}.safetensors"
-
-
-@cache
-def _code() -> list[str]:
-    """What the files do that make a corpus, hashed."""
-    here = Path(__file__).parent
-    files = [*(here / f"{name}.py" for name in _SOURCES), *sorted((here / "actions").glob("*.py"))]
-    return [source_hash(path.read_text(encoding="utf-8")) for path in files]
 
 
 def _keep(path: Path, takes: list[Take]) -> None:

@@ -57,12 +57,15 @@ def person_windows(takes: Sequence[Take], frames: int, each: int) -> PersonWindo
     takes = [take for take in takes if take.motion.frames >= frames]
     if not takes:
         raise DataError(f"nobody has {frames} frames of motion", remedy="name a folder with more recordings")
-    data = gather([on_standard(t.motion) for t in takes], frames, mirrored=False, people=[t.person for t in takes])
-    whose = data.people[data.clip[data.begins]]
-    some = torch.cat([spread((whose == person).nonzero()[:, 0], each) for person in whose.unique()])
+    names = list(dict.fromkeys(take.person for take in takes))
+    clip = torch.arange(len(takes)).repeat_interleave(torch.tensor([t.motion.frames - frames + 1 for t in takes]))
+    whose = torch.tensor([names.index(take.person) for take in takes])[clip]
+    some = torch.cat([spread((whose == person).nonzero()[:, 0], each) for person in range(len(names))])
+    used = clip[some].unique()  # of the others nothing is asked
+    data = gather([on_standard(takes[k].motion) for k in used], frames, mirrored=False)
+    motion = data.cut(data.begins[torch.isin(clip, used).cumsum(0)[some] - 1])
     missing = torch.tensor([[name in take.missing for name in STANDARD.names] + [False, False] for take in takes])
-    motion = replace(data.cut(data.begins[some]), skeleton=STANDARD)
-    return PersonWindows(motion, whose[some], missing[data.clip[data.begins[some]], None])
+    return PersonWindows(replace(motion, skeleton=STANDARD), whose[some], missing[clip[some], None])
 
 
 def by_person(values: Tensor, whose: Tensor) -> Tensor:
@@ -173,8 +176,7 @@ def energy_score(
     if len(draws) == 1:
         return errors
     pairs = [(a, b) for k, a in enumerate(draws) for b in draws[:k]]
-    apart = torch.stack([error_cm(a, b, known, joints) for a, b in pairs]).mean(0)
-    return errors - apart / 2
+    return errors - torch.stack([error_cm(a, b, known, joints) for a, b in pairs]).mean(0) / 2
 
 
 def hidden_frames(known: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 from motionlab.errors import DataError, MissingData
@@ -43,6 +44,7 @@ def writing(out: Path, remedy: str = "make room or name another folder: --out OU
         raise DataError(message, path=out, place=place, remedy=remedy) from error
 
 
+@cache  # the same files for every corpus
 def source_hash(source: str) -> str:
     """Returns a hash of what Python code does: without comments, layout, documentation and imports."""
     tree = ast.parse(source)

@@ -164,8 +164,7 @@ def influence(body: BodyModel, root: Tensor, rot: Tensor, vertices: Sequence[int
     """
 
     def place(turn: Tensor) -> Tensor:  # (J, 3) -> (K, 3)
-        turned = rot @ rotation.exp(turn)
-        return lbs(body, body.skeleton, root[None], turned[None], vertices=vertices)[0]
+        return lbs(body, body.skeleton, root[None], rot @ rotation.exp(turn)[None], vertices=vertices)[0]
 
     jacobian = torch.func.jacrev(place)(torch.zeros_like(rot[..., 0]))  # (K, 3, J, 3)
     return jacobian.square().sum((1, 3)).sqrt()

@@ -102,9 +102,7 @@ def left_of(motion: Motion) -> np.ndarray | None:
     """Computes where a motion's left is at the start (3,) from its right and left joints; None without such names."""
     at = motion.positions[0].double().numpy(force=True)
     side = np.array([side_of(name) for name in motion.skeleton.names])
-    if not {"left", "right"} <= set(side):
-        return None
-    return at[side == "left"].mean(0) - at[side == "right"].mean(0)
+    return None if not {"left", "right"} <= set(side) else at[side == "left"].mean(0) - at[side == "right"].mean(0)
 
 
 def good_azimuth(path: np.ndarray, left: np.ndarray | None, aspect: float) -> float:
