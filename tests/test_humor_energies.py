@@ -57,6 +57,15 @@ def test_an_energy_is_that_of_each_clip(name):
     torch.testing.assert_close(found.sum(), golden(f"loss_{name}").squeeze(), rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_control_what_moves_in_one_clip_changes_that_clip(name, generator):
+    energy, (first, *rest) = CASES[name][0], CASES[name][1]()
+    moved = first.clone()
+    moved[2] += 0.1 * torch.randn(first[2].shape, generator=generator)
+    before, after = energy(first, *rest), energy(moved, *rest)
+    assert (after[2] / before[2] - 1).abs() > 1e-6 and torch.equal(before[[0, 1, 3]], after[[0, 1, 3]])
+
+
 def test_gmof_is_bounded():
     found = energies.gmof(golden("gmof_in"))
     torch.testing.assert_close(found, golden("gmof_sigma100"), rtol=1e-10, atol=1e-10)

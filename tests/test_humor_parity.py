@@ -7,6 +7,7 @@ import pytest
 
 from motionlab.humor.priors import Cvae
 from studies.nb04_prior import parity
+from studies.official import rotation as official_rotation
 
 FOLDER = Path(__file__).parent / "golden"
 
@@ -44,6 +45,19 @@ def test_the_lean_form_misses_what_is_explained_and_nothing_else(rows):
     assert all(bool(row.why) != row.holds for row in lean)
     chains = ("roll", "infer_", "grad_", "alt_roll", "alt_infer", "alt_grad")
     assert all(row.tolerance == (parity.YAW if row.arrays.startswith(chains) else parity.EXACT) for row in lean)
+
+
+def test_control_other_weights_are_noticed():
+    golden, model = parity.Golden(FOLDER), parity.seeded(alternative=True)
+    wrong = list(parity._networks(golden, model, ""))
+    assert sum(not row.holds for row in wrong) > 0.8 * len(wrong)
+
+
+def test_control_a_changed_epsilon_is_noticed(monkeypatch):
+    monkeypatch.setattr(official_rotation, "GUARD", 1e-8)
+    golden = parity.Golden(FOLDER)
+    rows = of(parity._frames(golden), "official")
+    assert missed(rows) >= {"w2a_from_root_mat", "canon_w2a_rot", "canon_local_*"}
 
 
 def test_control_what_is_wrong_on_purpose_is_noticed():

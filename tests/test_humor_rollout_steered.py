@@ -9,7 +9,7 @@ import torch
 from motionlab import rotation
 from motionlab.commands import doctor
 from motionlab.humor import compiled, state
-from motionlab.humor.rollout import steered_rollout
+from motionlab.humor.rollout import rollout, steered_rollout
 from tests.draws import draw
 from tests.rolled_inputs import F64, first_states, network
 
@@ -86,6 +86,25 @@ def test_values_and_gradients_are_those_of_a_naive_loop(model, first, u, gains, 
         found.append([*values, *torch.autograd.grad(loss(values), leaves)])
     for ours, theirs in zip(*found, strict=True):
         torch.testing.assert_close(ours, theirs, atol=1e-9, rtol=1e-9)
+
+
+def test_control_a_gain_that_the_way_back_forgets_is_noticed(model, first, u, gains):
+    """The gradient of u where z is taken as given differs: what is steered comes back through the gains."""
+    leaf = u.clone().requires_grad_()
+    found, _ = steered_rollout(model, first, leaf, gains)
+    (ours,) = torch.autograd.grad((found.states * draw(3, *found.states.shape)).sum(), leaf)
+    z = found.z.detach().clone().requires_grad_()
+    (given,) = torch.autograd.grad((rollout(model, first, z).states * draw(3, *found.states.shape)).sum(), z)
+    assert (ours[:, -1] - given[:, -1]).abs().max() < 1e-9 and (ours - given)[:, 0].abs().max() > 0.01
+
+
+def test_control_the_order_of_what_gains_see_matters(model, first, u, gains):
+    """Sine in the place of minus the sine, or y before x, and the naive loop is another."""
+    good = naive(model, first, u, gains)[0]
+    torch.testing.assert_close(steered_rollout(model, first, u, gains)[0].states, good, atol=1e-9, rtol=0)
+    for swap in ([0, 3, 2, 1, 4, 5], [0, 1, 5, 3, 4, 2]):
+        wrong = torch.cat((gains[..., : state.STATE], gains[..., state.STATE :][..., swap]), -1)
+        assert (steered_rollout(model, first, u, wrong)[0].states - good).abs().max() > 1e-3
 
 
 def test_no_gains_are_gains_of_nought(model, first, u):

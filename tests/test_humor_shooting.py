@@ -178,6 +178,17 @@ def test_the_gauss_newton_matrix_is_the_identity_in_the_new_coordinates(smooth, 
         assert (gap - gap.diagonal().diag()).abs().max() < 2e-3 and gap.diagonal().min() > -2e-3
 
 
+@pytest.mark.parametrize("part", ["gains", "shared", "whiteners"])
+def test_control_with_one_part_of_the_coordinates_missing_they_are_not_round(smooth, part):
+    problem, unknown = smooth["joints"]
+    with torch.no_grad():
+        white = linearised(problem, unknown, stride=1)
+        wrong = {"gains": 0 * white.gains, "shared": 0 * white.shared, "whiteners": 1.2 * white.whiteners}[part]
+        base = unknown.z if part == "gains" else white.base
+        h, n = hessian(problem, unknown, white._replace(base=base, **{part: wrong}))
+        assert (h[:n] - torch.eye(len(h), dtype=F64)[:n]).abs().max() > 0.05
+
+
 @pytest.mark.parametrize(("kind", "stride"), [("joints", 1), ("fixed", 3), ("free", 1), ("free", 100)])
 def test_anywhere_is_an_exact_roll_out_of_the_unknowns_there(cases, kind, stride):
     """However seldom the networks are differentiated."""

@@ -72,8 +72,14 @@ def test_stage_three_lowers_its_energy(kit, walk, monkeypatch):
     assert (total < sum(frozen.energies[3].values()) - 0.2).all()
 
 
-def test_a_search_ends_by_its_own_energy():
+@pytest.mark.parametrize("control", [False, True])
+def test_a_search_ends_by_its_own_energy(control, monkeypatch):
     """To the bit, where rows do not touch each other's rounding."""
+    if control:  # one tolerance, the mean, serves all clips
+        search = lambda *args, tolerance_change, **how: optimise.minimise_batch(  # noqa: E731
+            *args, tolerance_change=float(tolerance_change.mean()), **how
+        )
+        monkeypatch.setattr(stages, "minimise_batch", search)
 
     def terms(_, at):
         x, y = at.trans.unbind(-1)
@@ -86,7 +92,7 @@ def test_a_search_ends_by_its_own_energy():
     every = slice(None), slice(1)
     both, alone = (stages._search(terms, anything, *stages._as_they_are(unknown.rows(k), ("trans",)), **budget)[0]
                    for k in every)  # fmt: skip
-    assert torch.equal(both.trans[:1], alone.trans)
+    assert torch.equal(both.trans[:1], alone.trans) != control
 
 
 # ------------------------------------------------------------------------------------------------ what is survived
@@ -192,8 +198,11 @@ def test_rounded_coordinates_need_fewer_steps(kit, walk):
     assert (quick.energy < plain.energy).all()
 
 
-def test_a_turn_written_by_parallel_vectors_stops_no_search(kit, walk):
+@pytest.mark.parametrize("control", [False, True])
+def test_a_turn_written_by_parallel_vectors_stops_no_search(kit, walk, control, monkeypatch):
     """The same rotations with the second vector of one frame laid on the first: stage 2 ends where it would."""
+    if control:
+        monkeypatch.setattr(unknowns, "reorthogonalised", lambda turn: turn)
     p = problem(kit, joints(walk))
     plain = testops.start_stage_1(p)
     orient = plain.orient.clone()
@@ -202,7 +211,7 @@ def test_a_turn_written_by_parallel_vectors_stops_no_search(kit, walk):
     flat, aim = (
         stages.stage_1_and_2(p, u, 2, steps=2, inner=10)[1].energy for u in (replace(plain, orient=orient), plain)
     )
-    assert (flat < 1.05 * aim).all(), (flat, aim)
+    assert ((flat < 1.05 * aim).all() and not control) or ((flat > 1.5 * aim).all() and control), (flat, aim)
 
 
 def test_the_start_of_stage_three_follows_stage_two(kit, walk):

@@ -90,6 +90,12 @@ def test_neighbours_change_nothing(dtype, memory):
         assert alone.reasons[0] == batch.reasons[b] == some.reasons[k]
 
 
+def test_history_matters_to_the_path():
+    """Control of the test above: another memory is seen in the energies."""
+    short, long = (minimise_batch(rosenbrock, {"x": starts()}, memory=m) for m in (2, 100))
+    assert short.closures != long.closures
+
+
 def test_energies_are_where_it_says():
     energy, at = quadratics()
     batch = optimise.minimise_batch(energy, {"x": torch.zeros_like(at)}, steps=2)
