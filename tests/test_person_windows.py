@@ -19,7 +19,7 @@ RECORDINGS = [
     ("a", 33, ()),
     ("c", 20, ()),
 ]
-FRAMES, EACH = 20, 3
+FRAMES = 20
 
 
 @pytest.fixture(scope="module")
@@ -31,32 +31,32 @@ def takes():
     ]
 
 
-def naive(takes):
+def naive(takes, each):
     """Windows (person, motion, what is lacked) in the order of people as they come."""
     found = []
     for number, person in enumerate(["b", "a", "c"]):
         places = [(t, at) for t in takes if t.person == person for at in range(t.motion.frames - FRAMES + 1)]
-        for k in torch.linspace(0, len(places) - 1, min(EACH, len(places))).round().long():
+        for k in torch.linspace(0, len(places) - 1, min(each, len(places))).round().long():
             take, at = places[k]
             found.append((number, on_standard(take.motion).cut(at, at + FRAMES), take.missing))
     return found
 
 
-def test_they_are_those_of_all_recordings_retargeted(takes, monkeypatch):
+@pytest.mark.parametrize(("each", "needed"), [(3, 5), (1, 3)])
+def test_they_are_those_of_all_recordings_retargeted(takes, each, needed, monkeypatch):
+    """Though no recording is retargeted that no window is of."""
     moved = []
     monkeypatch.setattr(bench, "on_standard", lambda motion: moved.append(motion.name) or on_standard(motion))
-    found, expected = bench.person_windows(takes, FRAMES, EACH), naive(takes)
+    found, expected = bench.person_windows(takes, FRAMES, each), naive(takes, each)
     assert found.whose.tolist() == [who for who, _, _ in expected]
     for name in ("root", "rot", "contacts"):
         assert torch.equal(getattr(found.motion, name), torch.stack([getattr(m, name) for _, m, _ in expected]))
     names = found.motion.skeleton.names
     lacks = [{n for n, lacked in zip(names, row[0], strict=False) if lacked} for row in found.lacks]
     assert lacks == [set(lacked) for _, _, lacked in expected]
-    moved.clear()
-    bench.person_windows(takes, FRAMES, 1)  # of one window a person no more than one recording is needed
-    assert len(moved) == 3
+    assert len(moved) == needed
 
 
 def test_nobody_long_enough_is_said(takes):
     with pytest.raises(DataError, match="nobody has 1000 frames"):
-        bench.person_windows(takes, 1000, EACH)
+        bench.person_windows(takes, 1000, 3)
