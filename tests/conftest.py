@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("MOTIONLAB_BATCH", "1")  # nobody sits in front of a test
+gc.set_threshold(50_000)  # imports make many objects and hardly any garbage
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -53,6 +53,7 @@ STEPS = {
 def main() -> int:
     environment = {**os.environ, "MOTIONLAB_PROFILE": "smoke", "MOTIONLAB_BATCH": "1", "MOTIONLAB_VERIFY": "1"}
     environment |= {name: str(Path(os.environ[name]).resolve()) for name in ["MOTIONLAB_DATA"] if os.environ.get(name)}
+    environment["PYTHONSTARTUP"] = str(ROOT / "notebooks" / "suite" / "startup.py")  # of the notebooks' kernels
     environment |= {name: "1" for name in ONE_THREAD if not environment.get(name)}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # our modules are compiled once, not by every process
     rows = []

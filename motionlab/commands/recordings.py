@@ -15,8 +15,8 @@ from motionlab.motion import Motion
 def prepare(options: argparse.Namespace) -> int:
     """Makes training motion of recordings."""
     how = {"kept": options.out, "workers": parallel.cores(), "reading": reading(options)}
-    print(corpus.assemble(options.folder, options.sources, **how).report())
-    print(f"kept in {options.out or corpus.cache_folder()}")
+    made = corpus.assemble(options.folder, options.sources, **how)
+    print(f"{made.report()}\nkept in {options.out or corpus.cache_folder()}")
     return 0
 
 
@@ -69,5 +69,4 @@ def _failed(what: str, errors: list[DataError]) -> int:
 
 
 def _span(ends: tuple[float, float]) -> str:
-    low, high = (f"{end:.4g}" for end in ends)
-    return low if low == high else f"{low}-{high}"
+    return "-".join(dict.fromkeys(f"{end:.4g}" for end in ends))

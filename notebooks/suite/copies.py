@@ -1,7 +1,5 @@
-"""Copies of the notebooks to play with: JupyterLab saves what it shows, and tracked files stay as they are.
-
-``python -m suite.copies FOLDER`` makes the folder, or brings it up to date.
-"""
+"""Copies of the notebooks to play with, as JupyterLab saves what it shows: ``python -m suite.copies FOLDER`` makes the
+folder, or brings it up to date; tracked files stay as they are."""
 
 import json
 import shutil

@@ -72,7 +72,8 @@ async def _execute(path: Path, out: Path, environment: Mapping[str, str]) -> Run
             extra_arguments=["--log-level=40"],  # its advice on encrypting its own sockets is not for the reader
         )  # fmt: skip
         with tempfile.TemporaryDirectory(prefix="motionlab-", ignore_cleanup_errors=True) as bench:
-            await client.async_execute(env={**os.environ, "TMPDIR": bench, "MOTIONLAB_BATCH": "1", **environment})
+            own = {"TMPDIR": bench, "MOTIONLAB_BATCH": "1", "PYTHONSTARTUP": str(NOTEBOOKS / "suite" / "startup.py")}
+            await client.async_execute(env={**os.environ, **own, **environment})
     except CellExecutionError as error:
         last = max((cell.get("execution_count") or 0 for cell in book.cells), default=0)
         run = Run(path.stem, f"failed at cell {last}", f"{error.ename}: {error.evalue}")
@@ -94,8 +95,8 @@ def run_side_by_side(jobs: Sequence[tuple[Path, Path]], environment: Mapping[str
         while queue:
             (path, out), start = queue.pop(0), time.perf_counter()
             ran.append(run := await _execute(path, out, ONE_THREAD | environment))
-            took = time.perf_counter() - start
-            print(f"[{len(ran)}/{len(jobs)}] {path.stem:<30} {took:5.0f} s  {run.status}", flush=True)
+            took = f"{time.perf_counter() - start:5.0f} s"
+            print(f"[{len(ran)}/{len(jobs)}] {path.stem:<30} {took}  {run.status}", flush=True)
 
     async def everything() -> None:
         await asyncio.gather(*(worker() for _ in range(min(parallel.cores(), len(jobs)))))
@@ -147,9 +148,9 @@ def take_fingerprint(path: Path, *, again: bool = False) -> Run:
                 print(f"      {name}: differs too much with other rounding, not in the fingerprint", flush=True)
             real = {name: mark for name, mark in real.items() if name not in found or not mark.agrees(found[name])}
             record = replace(record, fingerprint=found, fingerprint_on_recordings=real, recordings=last.recordings)
-        took = {"smoke seconds": runs[0].provenance["seconds"]}
-        now = {"source_hash": staleness.code_hash(path), "weights": last.weights}
-        findings.save_record(findings.record_path(path), replace(record, **now, provenance=record.provenance | took))
+        took = record.provenance | {"smoke seconds": runs[0].provenance["seconds"]}
+        now = {"source_hash": staleness.code_hash(path), "weights": last.weights, "provenance": took}
+        findings.save_record(findings.record_path(path), replace(record, **now))
     except DataError as error:
         return Run(path.stem, "failed", str(error))
     return Run(path.stem)

@@ -53,9 +53,7 @@ def first_findings(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str
 def scoreboard(claims: Mapping[str, Claim], found: Sequence[Finding]) -> str:
     """Returns the table of all claims that were measured, as Markdown."""
     lines = ["| claim | in short | verdict | answer | notebook |", "|---|---|---|---|---|"]
-    for row in ledger.scoreboard(claims, found):
-        if row["verdict"] == ledger.OPEN:
-            continue
+    for row in (row for row in ledger.scoreboard(claims, found) if row["verdict"] != ledger.OPEN):
         short = row["verdict"].partition(" ...")[0].removesuffix(": needs")  # without what the ledger adds
         verdict = f"**{short}**{row['in full'].removeprefix(short)}"
         link = _link(row["notebook"], "../notebooks")

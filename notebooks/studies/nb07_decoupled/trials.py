@@ -16,7 +16,7 @@ from torch import Tensor
 
 from data_synth import scenes
 from data_synth.scenes import Scene
-from motionlab import corpus, metrics, splits
+from motionlab import metrics
 from motionlab.bench import person_windows
 from motionlab.humor import state, testops
 from motionlab.humor.energies import JOINTS, RGB_LIGHT
@@ -29,7 +29,7 @@ from motionlab.humor.unknowns import motion_of
 from motionlab.motion import Motion
 from studies.nb07_decoupled.energy import Unknown, posed, prior_of, to_persistent, to_states, whole
 from studies.nb07_decoupled.search import Found, Plan, search
-from studies.shared.clips import part
+from studies.shared.clips import part, recorded
 from studies.shared.joints import noisy
 from studies.shared.one_step import decode_ahead
 from studies.shared.sitting import seated
@@ -65,7 +65,7 @@ def people(folder: Path | None, source: str, part: str, count: int, seed: int, f
     of a part (on the standard body)."""
     if source == "synthetic":
         return scenes.film("walking", count, seed=seed, frames=frames).truth
-    takes = corpus.assemble(folder, splits.real_sources(folder), progress=False).part(part)
+    takes = recorded(folder).part(part)
     return person_windows([take for take in takes if take.source == "cmu_library"], frames, 1).motion
 
 

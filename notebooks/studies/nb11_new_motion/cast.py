@@ -7,11 +7,12 @@ import torch
 from torch import Tensor
 
 from data_synth import corpus as synthetic
-from motionlab import corpus, splits
+from motionlab import splits
 from motionlab.bench import person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.windows import Windows, gather, on_standard
 from motionlab.motion import Motion
+from studies.shared.clips import recorded
 
 FRAMES = 60  # of a window, two seconds
 RECORDED, SYNTHETIC = "recordings", "synthetic"
@@ -40,7 +41,7 @@ def assemble(folder: Path | None, each: int, most: int | None) -> Cast:
 
     each: windows of a person. most: recordings of a part, evenly over it; None: all.
     """
-    found = corpus.assemble(folder, splits.real_sources(folder), progress=False) if folder else None
+    found = recorded(folder) if folder else None
     parts = {part: found.part(part) if found else _made(part) for part in ("train", "val", "test")}
     takes = {part: splits.subsample(some, most) for part, some in parts.items()}
     people, whose, _ = person_windows(takes["test"], FRAMES, each)

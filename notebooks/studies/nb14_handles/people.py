@@ -15,13 +15,14 @@ from torch import Tensor
 
 from data_synth import corpus as synthetic
 from data_synth import scenes
-from motionlab import corpus, splits
+from motionlab import splits
 from motionlab.bench import person_windows
 from motionlab.corpus import Take
 from motionlab.diffusion.poses import Poser
 from motionlab.heading import stuck_root
 from motionlab.motion import Motion, mirror
 from motionlab.skeleton import STANDARD
+from studies.shared.clips import recorded
 
 #: Handles by name: joints, or how many are drawn at random for every pose.
 SETS: dict[str, tuple[str, ...] | int] = {
@@ -58,7 +59,7 @@ class Poses:
 def takes(folder: Path | None, part: str, every: int = 1) -> list[Take]:
     """Returns each n-th take of a part; of synthetic people without a folder."""
     if folder:
-        return corpus.assemble(folder, splits.real_sources(folder), progress=False).part(part)[::every]
+        return recorded(folder).part(part)[::every]
     if part == "test":
         clips = scenes.held_out(16)
         motions = [clips.clip(k) for k in range(16)]

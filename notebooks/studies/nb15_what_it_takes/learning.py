@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from motionlab import bench, corpus, splits
+from motionlab import bench
 from motionlab.bench import PersonWindows, by_person
 from motionlab.contact import with_contacts
 from motionlab.diffusion.features import units
@@ -17,6 +17,7 @@ from motionlab.motion import Motion
 from motionlab.viz.palette import ROLE
 from studies.nb15_what_it_takes.figures import Panel
 from studies.shared import small_models
+from studies.shared.clips import recorded
 from studies.shared.fill_people import FRAMES, Cast
 
 NETWORK, RIDGE = "network", "ridge regression"  # of ``hours``
@@ -48,7 +49,7 @@ def teachers(model: MotionDiffusion, cast: Cast, folder: Path | str | None, each
     counts as a person."""
     whose = cast.clips
     if folder:
-        takes = corpus.assemble(folder, splits.real_sources(folder), progress=False).part("train")
+        takes = recorded(folder).part("train")
         names = [take.person for take in takes if take.motion.frames >= FRAMES]
         people = list(dict.fromkeys(names))
         of_clip = [people.index(name) for name in names] + [-1] * (int(whose.max()) + 1)  # synthetic clips come last

@@ -9,18 +9,24 @@ import torch
 from torch import Tensor
 
 from motionlab import corpus, splits
-from motionlab.corpus import Take
+from motionlab.corpus import Corpus, Take
 from motionlab.motion import Motion
 from motionlab.observation import Observation2D
 
 FRAMES = 60
 
 
+@lru_cache(maxsize=1)
+def recorded(folder: Path | str) -> Corpus:
+    """Reads the clean stretches of all recordings in a folder, once a notebook."""
+    return corpus.assemble(folder, splits.real_sources(folder), progress=False)
+
+
 @lru_cache(maxsize=8)
 def takes(folder: Path | str, part: str) -> tuple[Take, ...]:
     """Loads the recordings of the CMU library's people of one part, longer than a clip."""
-    found = corpus.assemble(folder, splits.real_sources(folder), progress=False).takes
-    return tuple(t for t in found if t.source == "cmu_library" and t.part == part and t.motion.frames > FRAMES)
+    found = recorded(folder).part(part)
+    return tuple(t for t in found if t.source == "cmu_library" and t.motion.frames > FRAMES)
 
 
 def whole(some: Sequence[Take], frames: int = FRAMES) -> dict[str, list[Motion]]:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from data_synth import corpus as synthetic
-from motionlab import corpus, splits
+from motionlab import splits
 from motionlab.bench import PersonWindows, person_windows
 from motionlab.contact import with_contacts
 from motionlab.corpus import Take
@@ -20,6 +20,7 @@ from motionlab.diffusion.windows import gather, on_standard
 from motionlab.motion import Motion
 from motionlab.skeleton import STANDARD
 from motionlab.training.courses import learnt_from
+from studies.shared.clips import recorded
 
 FRAMES = 60  # of a window
 _SHORT = 8.0  # seconds of a synthetic sequence that count as one recording
@@ -40,7 +41,7 @@ class Cast:
     def of(cls, folder: Path | str | None, each: int, val: int, library: int, generator: torch.Generator) -> Self:
         """each, val: windows of each test person and of validation people. library: N."""
         if folder:
-            found = corpus.assemble(folder, splits.real_sources(folder))
+            found = recorded(folder)
             takes, data = {part: found.part(part) for part in ("val", "test")}, learnt_from(folder, FRAMES)[0]
         else:
             made = synthetic.build(version="B")
