@@ -192,7 +192,9 @@ def test_people_are_listed_and_fitted_into_one_scene(tmp_path, walk, few, capsys
 
 @pytest.fixture
 def windows(monkeypatch) -> None:
+    """Several a clip, and no films: others look at these."""
     short_windows(monkeypatch)
+    monkeypatch.setattr(fit.film, "over_footage", lambda motions, camera, pictures, path, *_, **__: path.touch())
 
 
 def test_a_long_clip_stopped_in_the_middle_goes_on(tmp_path, windows, few, monkeypatch):

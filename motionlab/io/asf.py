@@ -159,7 +159,7 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
             bones[parent].children.append(name)
     at.place = "section :units"
     units = {key.lower(): words for _, key, words in sections["units"]}
-    (length,) = floats(at, units.get("length", []), 1).tolist()
+    (length,) = floats(at, units.get("length", []), 1)
     if not 1e-6 < length < 1e6 or units.get("angle") not in (["deg"], ["rad"]):
         raise at.error("expected 'length' above zero (1e-6 to 1e6) and 'angle deg' or 'angle rad'")
     at.place = ""
@@ -169,12 +169,12 @@ def _parse_asf(at: Location, text: str) -> tuple[dict[str, _Bone], float, bool]:
 def _tell(at: Location, bone: _Bone, key: str, words: list[str]) -> None:
     """Takes what a line says of a bone or of the root, which moves and has the numbers of its axis elsewhere."""
     if key in ("direction", "position", "orientation"):
-        setattr(bone, "axis" if key == "orientation" else key, floats(at, words, 3).tolist())
+        setattr(bone, "axis" if key == "orientation" else key, floats(at, words, 3))
     elif key == "length":
-        (bone.length,) = floats(at, words, 1).tolist()
+        (bone.length,) = floats(at, words, 1)
     elif key == "axis":
         if "tx" not in bone.dof:
-            bone.axis, words = floats(at, words[:3], 3).tolist(), words[3:]
+            bone.axis, words = floats(at, words[:3], 3), words[3:]
         bone.axis_order = "".join(words).upper()
         if sorted(bone.axis_order) != ["X", "Y", "Z"]:
             raise at.error(f"axis order must be X, Y and Z in some order, got {' '.join(words)!r}")
@@ -204,4 +204,4 @@ def _parse_amc(at: Location, text: str, bones: dict[str, _Bone], degrees: bool) 
             values[name].append(floats(at, words, len(bones[name].dof)))
     if missing := [name for name, rows in values.items() if len(rows) < max(frames, 1)]:
         raise at.error(f"frame {max(frames, 1)} without {', '.join(missing)}: truncated, or no AMC")
-    return degrees, {name: np.stack(rows) for name, rows in values.items()}
+    return degrees, {name: np.array(rows) for name, rows in values.items()}

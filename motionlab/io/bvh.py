@@ -200,7 +200,7 @@ def _hierarchy(at: Location, lines: Iterator[str]) -> list[_Joint]:
                 raise at.error(f"{joint.name} ends without an OFFSET")
             here = joint.parent
         elif head == "OFFSET":
-            joint.offset = floats(at, words, 3).tolist()
+            joint.offset = floats(at, words, 3)
         elif head == "CHANNELS":
             names, first = [word.lower() for word in words[1:]], sum(len(other.channels) for other in joints)
             if joint.channels or words[:1] != [str(len(names))]:

@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -184,16 +185,15 @@ def checked_array(
     return array
 
 
-def floats(at: Location, words: Sequence[str], count: int) -> np.ndarray:
+def floats(at: Location, words: Sequence[str], count: int) -> list[float]:
     """Reads the ``count`` numbers of a line of text; the error names the first that is not finite, or too large."""
     if len(words) != count:
         raise at.error(f"expected {count} values, got {len(words)}")
-    values = np.full(count, np.nan)
-    with suppress(ValueError):  # where a word is no number, it and all behind it stay NaN
-        values[:] = words
-    bad = np.flatnonzero(~(np.abs(values) < _USABLE))
-    if bad.size:
-        raise at.error(f"value {bad[0] + 1} is {words[bad[0]][:40]!r}, not a usable number")
+    values = []
+    with suppress(ValueError):  # up to the first that is none
+        values.extend(takewhile(lambda value: abs(value) < _USABLE, map(float, words)))
+    if (n := len(values)) < count:
+        raise at.error(f"value {n + 1} is {words[n][:40]!r}, not a usable number")
     return values
 
 
