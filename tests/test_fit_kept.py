@@ -170,7 +170,7 @@ def test_what_cannot_be_written_is_said_in_a_sentence(tmp_path, monkeypatch):
 
 
 def test_a_cut_is_said(tmp_path, monkeypatch):
-    few_steps(monkeypatch)
+    monkeypatch.setattr(scene_fit, "MAX_FRAMES", 120)  # one window, not twenty
     draw = np.random.default_rng(0)
     walls = [draw.integers(0, 255, (45, 80, 3), np.uint8).repeat(4, 0).repeat(4, 1) for _ in range(2)]
     imageio.mimwrite(tmp_path / "clip.mp4", [walls[n >= 24] for n in range(48)], fps=12, quality=9)
